@@ -1,0 +1,155 @@
+//! The arm as data: geometry, stiffness, damping, masses, cables.
+
+use serde::Serialize;
+
+/// How the chord constraint of an element follows its tangents (design: Simpson's rule is the default).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ChordRule {
+    /// `r_{i+1} - rs_i - (l/6)(t_i + 4 t_m + t_{i+1})`, mid tangent from the normalised `p_i + p_{i+1}`.
+    Simpson,
+    /// `r_{i+1} - rs_i - (l/2)(t_i + t_{i+1})`.
+    Trapezoid,
+}
+
+/// How an element's curvature follows from the relative quaternion of its two nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StrainRule {
+    /// `2 vec(p_i* p_{i+1}) / l`.
+    VectorPart,
+    /// Rotation vector `log(p_i* p_{i+1}) / l`.
+    Logarithm,
+}
+
+/// Where a segment's cables begin to act.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Routing {
+    /// From the segment's own base disk; before it they run in sheaths.
+    Local,
+    /// Through holes in every disk from the robot's base on.
+    Through,
+}
+
+/// One segment: a chain of `elements` beam elements, a disk at the end of each.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SegmentConfig {
+    /// Backbone length (m), without the connector.
+    pub length_m: f64,
+    /// Number of elements, and of disks.
+    pub elements: usize,
+    /// Bending stiffness EI (N m^2).
+    pub bending_stiffness_nm2: f64,
+    /// Torsional stiffness GJ (N m^2).
+    pub torsional_stiffness_nm2: f64,
+    /// Stiffness-proportional damping beta (s).
+    pub damping_stiffness_s: f64,
+    /// Mass of one disk (kg).
+    pub disk_mass_kg: f64,
+    /// Radius of a disk (m): its inertia, and the body's default radius.
+    pub disk_radius_m: f64,
+    /// Thickness of a disk (m).
+    pub disk_thickness_m: f64,
+    /// Backbone mass per length (kg/m).
+    pub backbone_mass_kgpm: f64,
+    /// Backbone radius (m).
+    pub backbone_radius_m: f64,
+    /// Rigid connector behind this segment's end disk (m); 0 at the last segment.
+    pub connector_length_m: f64,
+    /// Mass added at the end disk by the connector (kg).
+    pub connector_mass_kg: f64,
+    /// Radius of the circle of holes (m).
+    pub hole_radius_m: f64,
+    /// Angle of each cable's hole from local y towards local z (rad); its length is the number of cables.
+    pub hole_angles_rad: Vec<f64>,
+}
+
+/// Load at the tip.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct PayloadConfig {
+    /// Point mass at the last node (kg).
+    pub mass_kg: f64,
+}
+
+/// A whole arm: checked, SI units, base frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ArmConfig {
+    /// Name, also of its shared-memory services.
+    pub name: String,
+    /// Position of the clamped base node in the base frame (m).
+    pub base_position_m: [f64; 3],
+    /// Unit quaternion `[w x y z]`, base node's body frame to the base frame.
+    pub base_quaternion: [f64; 4],
+    /// Gravity (m/s^2), base frame.
+    pub gravity_mps2: [f64; 3],
+    /// Mass-proportional damping (1/s).
+    pub damping_mass_1ps: f64,
+    /// Chord constraint.
+    pub chord: ChordRule,
+    /// Curvature measure.
+    pub strain: StrainRule,
+    /// Cable routing.
+    pub routing: Routing,
+    /// Spectral radius of the generalised-alpha integrator, 0..=1.
+    pub rho_inf: f64,
+    /// Least tension of every cable (N).
+    pub tension_n_min: f64,
+    /// Largest tension of every cable (N).
+    pub tension_n_max: f64,
+    /// Largest change of a tension per second (N/s).
+    pub tension_rate_npsmax: f64,
+    /// Segments from base to tip, 1 to 8.
+    pub segments: Vec<SegmentConfig>,
+    /// Load at the tip.
+    pub payload: PayloadConfig,
+}
+
+impl ArmConfig {
+    /// Number of nodes N (the clamped base not counted).
+    pub fn node_count(&self) -> usize {
+        self.segments.iter().map(|s| s.elements).sum()
+    }
+
+    /// Number of cables.
+    pub fn cable_count(&self) -> usize {
+        self.segments.iter().map(|s| s.hole_angles_rad.len()).sum()
+    }
+
+    /// The arm of the paper's examples (design section 12), as `config/arm.toml` holds it.
+    pub fn paper() -> Self {
+        let segment = |last: bool| SegmentConfig {
+            length_m: 0.65,
+            elements: 5,
+            bending_stiffness_nm2: 7.0,
+            torsional_stiffness_nm2: 7.0 / 1.3,
+            damping_stiffness_s: 0.05,
+            disk_mass_kg: 0.3,
+            disk_radius_m: 0.055,
+            disk_thickness_m: 0.01,
+            backbone_mass_kgpm: 0.15,
+            backbone_radius_m: 0.004,
+            connector_length_m: if last { 0.0 } else { 0.05 },
+            connector_mass_kg: 0.0,
+            hole_radius_m: 0.05,
+            hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
+        };
+        let h = std::f64::consts::FRAC_1_SQRT_2;
+        Self {
+            name: "paper".into(),
+            base_position_m: [0.0; 3],
+            base_quaternion: [h, 0.0, h, 0.0],
+            gravity_mps2: [0.0; 3],
+            damping_mass_1ps: 0.0,
+            chord: ChordRule::Simpson,
+            strain: StrainRule::VectorPart,
+            routing: Routing::Local,
+            rho_inf: 0.8,
+            tension_n_min: 0.0,
+            tension_n_max: 220.0,
+            tension_rate_npsmax: f64::INFINITY,
+            segments: (0..4).map(|s| segment(s == 3)).collect(),
+            payload: PayloadConfig::default(),
+        }
+    }
+}

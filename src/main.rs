@@ -1,0 +1,2 @@
+//! `sinew`: command line.
+fn main() {}
