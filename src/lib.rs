@@ -3,3 +3,5 @@
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
 pub mod config;
+pub mod math;
+pub mod model;
