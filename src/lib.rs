@@ -3,5 +3,6 @@
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
 pub mod config;
+pub mod integrator;
 pub mod math;
 pub mod model;

@@ -12,7 +12,12 @@ fn sets() -> Vec<(String, Value, Vec<Value>, Option<Value>)> {
     let mut sets = Vec::new();
     for (name, file) in golden_files("generator") {
         if let Some(states) = file.get("states") {
-            sets.push((name, file["params"].clone(), states.as_array().unwrap().clone(), file.get("par_node").cloned()));
+            sets.push((
+                name,
+                file["params"].clone(),
+                states.as_array().unwrap().clone(),
+                file.get("par_node").cloned(),
+            ));
         } else if let Some(variants) = file.get("variants") {
             for v in variants.as_array().unwrap() {
                 sets.push((

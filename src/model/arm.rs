@@ -95,7 +95,8 @@ impl Arm {
                 }
                 // The backbone's share: half an element on either side, so the last node has only one half.
                 let backbone = seg.backbone_mass_kgpm * l * if tip { 0.5 } else { 1.0 };
-                let (r2, h2, b2) = (seg.disk_radius_m.powi(2), seg.disk_thickness_m.powi(2), seg.backbone_radius_m.powi(2));
+                let (r2, h2, b2) =
+                    (seg.disk_radius_m.powi(2), seg.disk_thickness_m.powi(2), seg.backbone_radius_m.powi(2));
                 let axial = disk * r2 / 2.0 + backbone * b2 / 2.0;
                 let transverse = disk * (r2 / 4.0 + h2 / 12.0) + backbone * (b2 / 4.0 + l * l / 12.0);
                 nodes.push(Node {

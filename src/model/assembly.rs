@@ -5,8 +5,8 @@ use super::cables::{Span, Stiffness};
 use super::elastic::{self, Ends};
 use super::{chord, inertia};
 use crate::math::block_tridiagonal::{BLOCK, BlockTridiagonal};
-use crate::math::quaternion::{rotation_jacobians, tangent};
-use nalgebra::{Matrix3, Matrix3x4, Matrix4, Vector3, Vector4};
+use crate::math::quaternion::{body_rate, rotation_jacobians, tangent};
+use nalgebra::{Matrix3, Matrix3x4, Vector3, Vector4};
 
 /// Coordinates, rates, accelerations (7N each) and multipliers (4N) at which the equations are evaluated.
 #[derive(Debug, Clone, Copy)]
@@ -116,6 +116,10 @@ impl Arm {
     /// Adds the damping forces, stiffness- and mass-proportional.
     pub fn add_damping(&self, q: &[f64], qd: &[f64], out: &mut [f64]) {
         self.add_element_forces(q, qd, out, false, true);
+        self.add_mass_damping(q, qd, out);
+    }
+
+    fn add_mass_damping(&self, q: &[f64], qd: &[f64], out: &mut [f64]) {
         if self.damping_mass != 0.0 {
             for (k, node) in self.nodes.iter().enumerate() {
                 let (p, v) = (vector4(q, 7 * k + 3), vector4(qd, 7 * k + 3));
@@ -312,13 +316,7 @@ impl Arm {
         self.add_inertia(m.q, m.qdd, out);
         self.add_gyroscopic(m.q, m.qd, out);
         self.add_element_forces(m.q, m.qd, out, true, true);
-        if self.damping_mass != 0.0 {
-            for (k, node) in self.nodes.iter().enumerate() {
-                let (p, v) = (vector4(m.q, 7 * k + 3), vector4(m.qd, 7 * k + 3));
-                add3(out, 7 * k, &vector3(m.qd, 7 * k), self.damping_mass * node.mass);
-                add4(out, 7 * k + 3, &inertia::mass_times(node, &p, &v), self.damping_mass);
-            }
-        }
+        self.add_mass_damping(m.q, m.qd, out);
         self.add_gravity(out);
         self.add_constraint_forces(m.q, m.lambda, out);
     }
@@ -459,6 +457,39 @@ impl Arm {
     }
 }
 
+impl Arm {
+    /// `[M, psi_q^T; psi_q, 0]` with the multipliers scaled: what ties accelerations and multipliers together.
+    pub fn mass_into(&self, q: &[f64], scale: f64, out: &mut BlockTridiagonal) {
+        out.clear();
+        for (i, e) in self.elements.iter().enumerate() {
+            let (ends, sign) = ends(self, q, q, i);
+            let (di, dj) = self.chord_jacobian(e, &ends);
+            let d = &mut out.diagonal[i];
+            add_matrix(d, 0, 0, &(Matrix3::identity() * self.nodes[i].mass), 1.0);
+            let l = body_rate(&ends.pj);
+            add_matrix(d, 3, 3, &(4.0 * (l.transpose() * Matrix3::from_diagonal(&self.nodes[i].inertia) * l)), 1.0);
+            for c in 0..3 {
+                d[(c, 7 + c)] += scale;
+                d[(7 + c, c)] += scale;
+            }
+            add_matrix(d, 7, 3, &dj, scale * sign);
+            add_matrix(d, 3, 7, &dj.transpose(), scale * sign);
+            for c in 0..4 {
+                d[(3 + c, 10)] = 2.0 * sign * ends.pj[c] * scale;
+                d[(10, 3 + c)] = 2.0 * sign * ends.pj[c] * scale;
+            }
+            if i > 0 {
+                for c in 0..3 {
+                    out.lower[i][(7 + c, c)] -= scale;
+                    out.upper[i - 1][(c, 7 + c)] -= scale;
+                }
+                add_matrix(&mut out.lower[i], 7, 3, &di, scale);
+                add_matrix(&mut out.upper[i - 1], 3, 7, &di.transpose(), scale);
+            }
+        }
+    }
+}
+
 fn add_matrix<const R: usize, const C: usize>(
     block: &mut crate::math::block_tridiagonal::Block,
     row: usize,
@@ -468,10 +499,4 @@ fn add_matrix<const R: usize, const C: usize>(
 ) {
     let mut view = block.fixed_view_mut::<R, C>(row, column);
     view += m * factor;
-}
-
-/// Quaternion block of node `k`'s mass matrix, `4 L^T J L`.
-pub(crate) fn mass_block(arm: &Arm, q: &[f64], k: usize) -> Matrix4<f64> {
-    let l = crate::math::quaternion::body_rate(&vector4(q, 7 * k + 3));
-    4.0 * (l.transpose() * Matrix3::from_diagonal(&arm.nodes[k].inertia) * l)
 }

@@ -73,12 +73,7 @@ pub(super) fn hessian(
 }
 
 /// `d^2 psi / dt^2` at zero acceleration: the second directional derivative along the rates (base frame).
-pub(super) fn convective(
-    rule: ChordRule,
-    e: &Element,
-    p: [&Vector4<f64>; 2],
-    pd: [&Vector4<f64>; 2],
-) -> Vector3<f64> {
+pub(super) fn convective(rule: ChordRule, e: &Element, p: [&Vector4<f64>; 2], pd: [&Vector4<f64>; 2]) -> Vector3<f64> {
     let mut acc = Vector3::zeros();
     for k in 0..3 {
         let [ii, ij, jj] = hessian(rule, e, p[0], p[1], &Vector3::ith(k, 1.0));

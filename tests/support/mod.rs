@@ -67,9 +67,8 @@ pub fn arm_config(params: &Value) -> ArmConfig {
             seg.connector_mass_kg = if last { 0.0 } else { f("m_con") };
             seg.hole_radius_m = f("rho_c");
             let n = count("n_cab");
-            seg.hole_angles_rad = (0..n)
-                .map(|c| (f("cab0_deg") + offsets[s] + 360.0 / n as f64 * c as f64).to_radians())
-                .collect();
+            seg.hole_angles_rad =
+                (0..n).map(|c| (f("cab0_deg") + offsets[s] + 360.0 / n as f64 * c as f64).to_radians()).collect();
             seg
         })
         .collect();
@@ -89,7 +88,8 @@ pub fn arm_config(params: &Value) -> ArmConfig {
 pub fn relative_error(got: &[f64], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len());
     let scale = want.iter().fold(0.0f64, |a, x| a.max(x.abs()));
-    let diff = got.iter().zip(want).fold(0.0f64, |a, (x, y)| if (x - y).is_nan() { f64::NAN } else { a.max((x - y).abs()) });
+    let diff =
+        got.iter().zip(want).fold(0.0f64, |a, (x, y)| if (x - y).is_nan() { f64::NAN } else { a.max((x - y).abs()) });
     if scale == 0.0 { diff } else { diff / scale }
 }
 
