@@ -6,3 +6,4 @@ pub mod config;
 pub mod integrator;
 pub mod math;
 pub mod model;
+pub mod planner;

@@ -3,4 +3,5 @@
 //! Enters and leaves: plain vectors and matrices of fixed size. Knows nothing of arms, never allocates in a step.
 
 pub mod block_tridiagonal;
+pub mod dense;
 pub mod quaternion;

@@ -1,0 +1,2 @@
+//! The planning problem.
+pub mod complementarity;
