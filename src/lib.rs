@@ -2,4 +2,5 @@
 //!
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
+pub mod collision;
 pub mod config;
