@@ -2,6 +2,7 @@
 //!
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
+pub mod collision;
 pub mod config;
 pub mod integrator;
 pub mod math;
