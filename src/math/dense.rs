@@ -53,7 +53,8 @@ mod tests {
         let n = 7;
         let a: Vec<f64> = (0..n * n).map(|k| ((k * k) as f64 * 1.7).sin()).collect();
         let b: Vec<f64> = (0..n).map(|k| (k as f64).cos()).collect();
-        let want = nalgebra::DMatrix::from_row_slice(n, n, &a).lu().solve(&nalgebra::DVector::from_vec(b.clone())).unwrap();
+        let want =
+            nalgebra::DMatrix::from_row_slice(n, n, &a).lu().solve(&nalgebra::DVector::from_vec(b.clone())).unwrap();
         let (mut m, mut x) = (a, b);
         assert!(super::solve_in_place(n, &mut m, &mut x));
         assert!(x.iter().zip(want.iter()).all(|(x, y)| (x - y).abs() < 1e-10));

@@ -26,11 +26,33 @@ pub(super) fn curvature(rule: StrainRule, e: &Element, ends: &Ends) -> (Vector3<
     (kappa, j * cd)
 }
 
-/// `d kappa / d p_i`, `d kappa / d p_j` (3x4 each).
-pub(super) fn curvature_jacobian(rule: StrainRule, e: &Element, ends: &Ends) -> (Matrix3x4<f64>, Matrix3x4<f64>) {
+/// `d kappa/dp` and `d kappa'/dp + cg d kappa'/dp'` for both quaternions (3x4 each).
+pub(super) fn curvature_jacobian(
+    rule: StrainRule,
+    e: &Element,
+    ends: &Ends,
+    cg: f64,
+) -> ([Matrix3x4<f64>; 2], [Matrix3x4<f64>; 2]) {
     let c = product(&conjugate(&ends.pi), &ends.pj);
     let (_, j) = strain(rule, e.length, &c);
-    (j * with_conjugate(&right(&ends.pj)), j * left(&conjugate(&ends.pi)))
+    let a = [with_conjugate(&right(&ends.pj)), left(&conjugate(&ends.pi))];
+    let ad = [with_conjugate(&right(&ends.pdj)), left(&conjugate(&ends.pdi))];
+    // kappa' = J c': J depends on c for the logarithm only.
+    let mut of_c = cg * j;
+    if rule == StrainRule::Logarithm {
+        let cd = product(&conjugate(&ends.pdi), &ends.pj) + product(&conjugate(&ends.pi), &ends.pdj);
+        of_c += rate_jacobian(e.length, &c, &cd);
+    }
+    ([j * a[0], j * a[1]], [of_c * a[0] + j * ad[0], of_c * a[1] + j * ad[1]])
+}
+
+/// `d(J c')/dc` of the logarithm at fixed `c'`.
+fn rate_jacobian(l: f64, c: &Vector4<f64>, cd: &Vector4<f64>) -> Matrix3x4<f64> {
+    let mut dj = Matrix3x4::zeros();
+    for k in 0..3 {
+        dj.set_row(k, &(hessian(l, c, &Vector3::ith(k, 1.0)) * cd).transpose());
+    }
+    dj
 }
 
 /// Elastic energy (J).
@@ -70,11 +92,7 @@ pub(super) fn tangent(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> [M
     let kd = bl * jkj;
     if rule == StrainRule::Logarithm {
         kc += lk * hessian(e.length, &c, &force) + bl * hessian(e.length, &c, &force_d);
-        let mut dj = Matrix3x4::zeros();
-        for k in 0..3 {
-            dj.set_row(k, &(hessian(e.length, &c, &Vector3::ith(k, 1.0)) * cd).transpose());
-        }
-        kc += bl * (kj.transpose() * dj);
+        kc += bl * (kj.transpose() * rate_jacobian(e.length, &c, &cd));
     }
     let m = j.transpose() * (lk * force + bl * force_d);
     let (ai, aj) = (with_conjugate(&right(&ends.pj)), left(&conjugate(&ends.pi)));

@@ -18,5 +18,5 @@ mod state;
 
 pub use arm::{Arm, Element, HolePass, Node};
 pub use assembly::{Linearization, Motion, Rates};
-pub use outputs::Outputs;
+pub use outputs::{CurvatureSensitivity, Outputs};
 pub use state::State;

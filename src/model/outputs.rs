@@ -19,6 +19,15 @@ pub struct Outputs {
     pub angular_velocity: Vector3<f64>,
 }
 
+/// Rows of [`Arm::curvature_sensitivity`] for nodes i and i+1 (2x4 each; y, z).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CurvatureSensitivity {
+    /// Of the curvatures.
+    pub k: [nalgebra::Matrix2x4<f64>; 2],
+    /// Of their rates.
+    pub kd: [nalgebra::Matrix2x4<f64>; 2],
+}
+
 impl Arm {
     /// Pose and twist of the last node.
     pub fn tip(&self, q: &[f64], qd: &[f64]) -> Outputs {
@@ -48,15 +57,16 @@ impl Arm {
         elastic::curvature(self.strain, &self.elements[i], &ends(self, q, qd, i).0)
     }
 
-    /// Adds `factor * d(mean curvature)/dq . dq` to the 2 numbers of the element's segment; `dq` is a column of a
-    /// row-major panel: entry `row` stands at `dq[row * stride + column]`, `node_rows` rows per node.
-    ///
-    /// This is the Gauss-Newton row of the curvature outputs; the same rows act on rates.
-    pub(crate) fn curvature_rows(&self, q: &[f64], i: usize) -> [nalgebra::SMatrix<f64, 2, 4>; 2] {
-        let (ends, sign) = ends(self, q, q, i);
-        let (ji, jj) = elastic::curvature_jacobian(self.strain, &self.elements[i], &ends);
+    /// Contribution of element `i` to its segment's average curvatures (y, z) and their rates, as rows on the
+    /// quaternion corrections of its two nodes; rates follow the coordinates with `cg`.
+    pub fn curvature_sensitivity(&self, q: &[f64], qd: &[f64], i: usize, cg: f64) -> CurvatureSensitivity {
+        let (ends, sign) = ends(self, q, qd, i);
+        let (k, kd) = elastic::curvature_jacobian(self.strain, &self.elements[i], &ends, cg);
         let share = 1.0 / self.segment_elements[self.elements[i].segment].len() as f64;
-        [ji.fixed_rows::<2>(1) * share, jj.fixed_rows::<2>(1) * (share * sign)]
+        let rows = |m: [nalgebra::Matrix3x4<f64>; 2]| {
+            [m[0].fixed_rows::<2>(1) * share, m[1].fixed_rows::<2>(1) * (share * sign)]
+        };
+        CurvatureSensitivity { k: rows(k), kd: rows(kd) }
     }
 
     /// Positions and tangents of nodes 0..=N (m, 1; base frame), for the collision module.

@@ -1,7 +1,7 @@
 //! What moves.
 
 /// State of an arm at one time; all arrays node by node from node 1 on.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct State {
     /// Coordinates `q`, 7N (m, 1).
     pub q: Vec<f64>,
