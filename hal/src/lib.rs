@@ -3,3 +3,5 @@
 //! Knows wires and nothing of arms. The only home of `unsafe`.
 
 pub mod can;
+pub mod clock;
+pub mod virtual_bus;
