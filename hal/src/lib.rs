@@ -2,6 +2,8 @@
 //!
 //! Knows wires and nothing of arms. The only home of `unsafe`.
 
+pub mod bus_config;
 pub mod can;
 pub mod clock;
+pub mod socketcan_bus;
 pub mod virtual_bus;
