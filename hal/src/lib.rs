@@ -5,5 +5,6 @@
 pub mod bus_config;
 pub mod can;
 pub mod clock;
+pub mod load;
 pub mod socketcan_bus;
 pub mod virtual_bus;
