@@ -5,6 +5,8 @@
 pub mod bus_config;
 pub mod can;
 pub mod clock;
+pub mod fault_shim;
 pub mod load;
+pub mod realtime;
 pub mod socketcan_bus;
 pub mod virtual_bus;
