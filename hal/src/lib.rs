@@ -2,4 +2,11 @@
 //!
 //! Knows wires and nothing of arms. The only home of `unsafe`.
 
+pub mod bus_config;
 pub mod can;
+pub mod clock;
+pub mod fault_shim;
+pub mod load;
+pub mod realtime;
+pub mod socketcan_bus;
+pub mod virtual_bus;
