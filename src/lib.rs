@@ -3,3 +3,4 @@
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
 pub mod config;
+pub mod ipc;
