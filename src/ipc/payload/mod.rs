@@ -8,6 +8,8 @@
 
 mod codes;
 mod encoders;
+#[cfg(test)]
+mod layout;
 mod obstacles;
 mod request;
 mod state;
@@ -55,7 +57,7 @@ pub struct Header {
     pub schema_version: u32,
     /// Who sends: chosen by the sender, stable over its restarts; 0 for the daemon.
     pub source_id: u32,
-    /// Increases with every message of a source; may start anew only with a newer capture time after a restart.
+    /// Increases with every message of a source; a restarted source begins at 0 again, with a newer capture time.
     pub sequence: u64,
     /// CLOCK_MONOTONIC (ns) when the content was measured, not when it was sent.
     pub capture_ns: u64,

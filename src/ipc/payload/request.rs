@@ -30,12 +30,7 @@ impl Request {
 
 impl Default for Request {
     fn default() -> Self {
-        Self {
-            header: Header::default(),
-            kind: RequestKind::Status.wire(),
-            reserved: 0,
-            target: Target::default(),
-        }
+        Self { header: Header::default(), kind: RequestKind::Status.wire(), reserved: 0, target: Target::default() }
     }
 }
 
