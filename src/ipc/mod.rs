@@ -5,4 +5,5 @@
 //! from triple buffers and writes its records to bounded rings, both wait-free; what finds a ring full is counted and
 //! dropped. Nothing here may delay or fail the loop.
 
+pub mod intake;
 pub mod payload;
