@@ -5,6 +5,7 @@
 pub mod collision;
 pub mod config;
 pub mod integrator;
+pub mod ipc;
 pub mod math;
 pub mod model;
 pub mod planner;
