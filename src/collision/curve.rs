@@ -16,6 +16,9 @@ pub(super) const GAP_M: f64 = 1e-10;
 /// all its points are equally close.
 pub(super) const SAMPLES_MAX: usize = 96;
 
+/// A bracket narrower than this (of the whole strand) is a point.
+const WIDTH_MIN: f64 = 1e-12;
+
 /// A slope below this share of the curve's speed is a zero of the slope.
 const SLOPE_ZERO: f64 = 1e-13;
 
@@ -121,57 +124,97 @@ impl Curve {
                 return (best, false);
             }
             let width = b.xi - a.xi;
-            let middle = if a.is_falling() && b.is_rising() {
-                self.stationary(a, b, &mut samples, distance)
+            if a.is_falling() && b.is_rising() {
+                let (low, high) = self.stationary(a, b, &mut samples, distance);
+                for end in [low, high] {
+                    if end.value.is_nan() {
+                        return (end, true);
+                    }
+                    if end.value < best.value {
+                        best = end;
+                    }
+                }
+                stack.push((a, low));
+                stack.push((high, b));
             } else {
                 samples += 1;
-                self.sample(at.clamp(a.xi + 0.1 * width, b.xi - 0.1 * width), distance)
-            };
-            if middle.value.is_nan() {
-                return (middle, true);
+                let middle = self.sample(at.clamp(a.xi + 0.1 * width, b.xi - 0.1 * width), distance);
+                if middle.value.is_nan() {
+                    return (middle, true);
+                }
+                if middle.value < best.value {
+                    best = middle;
+                }
+                stack.push((a, middle));
+                stack.push((middle, b));
             }
-            if middle.value < best.value {
-                best = middle;
-            }
-            stack.push((a, middle));
-            stack.push((middle, b));
         }
         (best, true)
     }
 
-    /// Zero of the slope between a falling and a rising sample: secant steps, halving where they are slow.
+    /// Lowest point between a falling and a rising sample, as the two ends of what remains of the stretch (equal at a
+    /// zero of the slope).
+    ///
+    /// Secant steps find the zero of a smooth slope; where they are slow, the crossing of the cuts finds a kink, a small
+    /// step beyond it brings the other end along, and halving bounds the work whatever the function.
     fn stationary(
         &self,
         mut a: Sample,
         mut b: Sample,
         samples: &mut usize,
         distance: &impl Fn(&Vector3<f64>) -> (f64, Vector3<f64>),
-    ) -> Sample {
-        let mut best = if b.value < a.value { b } else { a };
-        let mut halve = false;
+    ) -> (Sample, Sample) {
+        let mut step = Step::Secant;
+        let mut last = a.xi;
         while *samples < SAMPLES_MAX {
             let width = b.xi - a.xi;
-            let share = if halve { 0.5 } else { (-a.slope / (b.slope - a.slope)).clamp(1e-3, 1.0 - 1e-3) };
-            *samples += 1;
-            let middle = self.sample(a.xi + share * width, distance);
-            if middle.value <= best.value || middle.value.is_nan() {
-                best = middle;
+            let (bound, crossing) = self.stretch_bound(&a, &b);
+            if width < WIDTH_MIN || bound >= a.value.min(b.value) - 1e-3 * GAP_M {
+                break;
             }
+            let wish = match step {
+                Step::Secant => a.xi + width * (-a.slope / (b.slope - a.slope)),
+                Step::Crossing => crossing,
+                // The crossing misses a kink by second order in the width.
+                Step::Beyond if last <= a.xi => a.xi + 0.25 * width * width,
+                Step::Beyond => b.xi - 0.25 * width * width,
+                Step::Halve => a.xi + 0.5 * width,
+            };
+            // Inside by a little, so that a step always counts.
+            let margin = 0.25 * WIDTH_MIN;
+            *samples += 1;
+            let middle = self.sample(wish.clamp(a.xi + margin, b.xi - margin), distance);
+            last = middle.xi;
             if middle.is_falling() {
                 a = middle;
             } else if middle.is_rising() {
                 b = middle;
             } else {
-                return middle;
+                return (middle, middle);
             }
-            let left = b.xi - a.xi;
-            halve = left > 0.5 * width;
-            // A kink of the distance has no zero of the slope, only a change of its sign.
-            if left < 1e-12 {
-                break;
-            }
+            step = if b.xi - a.xi <= 0.5 * width { Step::Secant } else { step.next() };
         }
-        best
+        (a, b)
+    }
+}
+
+/// How the next sample between a falling and a rising one is chosen.
+#[derive(Debug, Clone, Copy)]
+enum Step {
+    Secant,
+    Crossing,
+    Beyond,
+    Halve,
+}
+
+impl Step {
+    fn next(self) -> Self {
+        match self {
+            Self::Secant => Self::Crossing,
+            Self::Crossing => Self::Beyond,
+            Self::Beyond => Self::Halve,
+            Self::Halve => Self::Secant,
+        }
     }
 }
 
