@@ -3,3 +3,4 @@
 //! Knows wires and nothing of arms. The only home of `unsafe`.
 
 pub mod can;
+pub mod canopen;
