@@ -17,6 +17,8 @@ pub mod code {
     pub const SOFTWARE: u16 = 0x6100;
     /// Position sensor.
     pub const POSITION_SENSOR: u16 = 0x7320;
+    /// Communication, generic: the node was taken out of operational with torque on.
+    pub const GENERIC_COMMUNICATION: u16 = 0x8100;
     /// Life guard or heartbeat error.
     pub const HEARTBEAT: u16 = 0x8130;
     /// Recovered from bus-off.
@@ -79,6 +81,7 @@ impl Emergency {
             code::OVER_CURRENT => "continuous over-current",
             code::DRIVE_TEMPERATURE => "excess drive temperature",
             code::POSITION_SENSOR => "position sensor",
+            code::GENERIC_COMMUNICATION => "taken out of operational with torque on",
             code::HEARTBEAT => "heartbeat of the master lost",
             code::BUS_OFF_RECOVERED => "recovered from bus-off",
             code::PDO_LENGTH => "PDO not processed, wrong length",
