@@ -4,3 +4,4 @@
 
 pub mod can;
 pub mod canopen;
+pub mod cia402;

@@ -342,7 +342,7 @@ impl Drive {
         let holds = self.dictionary.int(o::QUICK_STOP_OPTION, 0) >= 5;
         let Some(next) = self.state.after(command, holds) else { return };
         if self.state != State::OperationEnabled && next == State::OperationEnabled {
-            // A target from before is not a target: torque starts from what is commanded from now on.
+            // The guard counts from here: a SYNC older than its timeout is a fault at the next look.
             self.sync_lost = false;
         }
         self.state = next;
