@@ -4,6 +4,8 @@
 
 pub mod bus_config;
 pub mod can;
+pub mod canopen;
+pub mod cia402;
 pub mod clock;
 pub mod fault_shim;
 pub mod load;

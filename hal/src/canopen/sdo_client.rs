@@ -1,0 +1,322 @@
+//! SDO client: one transfer at a time with one server, as a state machine that is handed frames and the time.
+
+use super::sdo::{AbortCode, Request, Response, Start, TRANSFER_LEN_MAX, expedited, segment};
+use thiserror::Error;
+
+/// Why a transfer failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum SdoError {
+    /// The server aborted.
+    #[error("aborted by the node: {0}")]
+    Aborted(AbortCode),
+    /// The client aborted, because the server broke the protocol.
+    #[error("aborted by the client: {0}")]
+    Protocol(AbortCode),
+    /// No response in time.
+    #[error("no response within {timeout_ms} ms")]
+    Timeout {
+        /// Time waited for each response (ms).
+        timeout_ms: u32,
+    },
+}
+
+/// How a transfer stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing happened yet.
+    Pending,
+    /// The value that was read, empty for a write.
+    Done(Vec<u8>),
+    /// Failed.
+    Failed(SdoError),
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Step {
+    Idle,
+    /// Initiate download sent.
+    Download,
+    /// Segment sent; `at` bytes were sent before it, `sent` including it.
+    DownloadSegment {
+        sent: usize,
+        toggle: bool,
+    },
+    /// Initiate upload sent.
+    Upload,
+    /// Segment requested.
+    UploadSegment {
+        toggle: bool,
+        announced: Option<u32>,
+    },
+}
+
+/// The client's state. Allocates for the value; set-up only.
+#[derive(Debug, Clone)]
+pub struct SdoClient {
+    step: Step,
+    index: u16,
+    sub: u8,
+    data: Vec<u8>,
+    timeout_ns: u64,
+    deadline_ns: u64,
+}
+
+impl SdoClient {
+    /// Idle; `timeout_ns` is granted for each response.
+    pub fn new(timeout_ns: u64) -> Self {
+        Self { step: Step::Idle, index: 0, sub: 0, data: Vec::new(), timeout_ns, deadline_ns: 0 }
+    }
+
+    /// True while a transfer runs.
+    pub fn is_busy(&self) -> bool {
+        self.step != Step::Idle
+    }
+
+    /// Starts a read and returns the payload to send; a running transfer is forgotten.
+    pub fn upload(&mut self, index: u16, sub: u8, now_ns: u64) -> [u8; 8] {
+        self.begin(Step::Upload, index, sub, now_ns);
+        Request::Upload { index, sub }.encode()
+    }
+
+    /// Starts a write and returns the payload to send: expedited up to four bytes, else segmented.
+    pub fn download(&mut self, index: u16, sub: u8, data: &[u8], now_ns: u64) -> [u8; 8] {
+        self.begin(Step::Download, index, sub, now_ns);
+        self.data.extend_from_slice(data);
+        let start = if (1..=4).contains(&data.len()) {
+            expedited(data)
+        } else {
+            Start::Segmented(u32::try_from(data.len()).ok())
+        };
+        Request::Download { index, sub, start }.encode()
+    }
+
+    fn begin(&mut self, step: Step, index: u16, sub: u8, now_ns: u64) {
+        (self.step, self.index, self.sub) = (step, index, sub);
+        self.data.clear();
+        self.deadline_ns = now_ns + self.timeout_ns;
+    }
+
+    /// Handles the payload of a response frame; the second value is a payload to send.
+    pub fn on_response(&mut self, payload: &[u8], now_ns: u64) -> (Outcome, Option<[u8; 8]>) {
+        if self.step == Step::Idle {
+            return (Outcome::Pending, None);
+        }
+        let Some(response) = Response::decode(payload) else { return (Outcome::Pending, None) };
+        if let Response::Abort { code, .. } = response {
+            self.step = Step::Idle;
+            return (Outcome::Failed(SdoError::Aborted(code)), None);
+        }
+        // A response to another object is a late answer to a transfer given up earlier: not ours.
+        if let Response::Upload { index, sub, .. } | Response::Download { index, sub } = response
+            && (index, sub) != (self.index, self.sub)
+        {
+            return (Outcome::Pending, None);
+        }
+        match self.advance(response) {
+            Ok(None) => {
+                self.step = Step::Idle;
+                (Outcome::Done(std::mem::take(&mut self.data)), None)
+            }
+            Ok(Some(next)) => {
+                self.deadline_ns = now_ns + self.timeout_ns;
+                (Outcome::Pending, Some(next.encode()))
+            }
+            Err(code) => {
+                self.step = Step::Idle;
+                let abort = Request::Abort { index: self.index, sub: self.sub, code };
+                (Outcome::Failed(SdoError::Protocol(code)), Some(abort.encode()))
+            }
+        }
+    }
+
+    /// Next request, or `None` when the transfer is complete.
+    fn advance(&mut self, response: Response) -> Result<Option<Request>, AbortCode> {
+        match (self.step.clone(), response) {
+            (Step::Download, Response::Download { .. }) => {
+                if (1..=4).contains(&self.data.len()) {
+                    self.data.clear();
+                    return Ok(None);
+                }
+                Ok(Some(self.send_segment(0, false)))
+            }
+            (Step::DownloadSegment { sent, toggle }, Response::DownloadSegment(t)) => {
+                if t != toggle {
+                    return Err(AbortCode::TOGGLE);
+                }
+                if sent >= self.data.len() {
+                    self.data.clear();
+                    return Ok(None);
+                }
+                Ok(Some(self.send_segment(sent, !toggle)))
+            }
+            (Step::Upload, Response::Upload { start: Start::Expedited(len, bytes), .. }) => {
+                self.data.extend_from_slice(&bytes[..len.unwrap_or(4)]);
+                Ok(None)
+            }
+            (Step::Upload, Response::Upload { start: Start::Segmented(announced), .. }) => {
+                if announced.is_some_and(|n| n as usize > TRANSFER_LEN_MAX) {
+                    return Err(AbortCode::OUT_OF_MEMORY);
+                }
+                self.step = Step::UploadSegment { toggle: false, announced };
+                Ok(Some(Request::UploadSegment(false)))
+            }
+            (Step::UploadSegment { toggle, announced }, Response::UploadSegment(s)) => {
+                if s.toggle != toggle {
+                    return Err(AbortCode::TOGGLE);
+                }
+                self.data.extend_from_slice(&s.data[..s.len]);
+                if self.data.len() > TRANSFER_LEN_MAX {
+                    return Err(AbortCode::OUT_OF_MEMORY);
+                }
+                if !s.last {
+                    self.step = Step::UploadSegment { toggle: !toggle, announced };
+                    return Ok(Some(Request::UploadSegment(!toggle)));
+                }
+                match announced {
+                    Some(n) if n as usize != self.data.len() => Err(AbortCode::LENGTH),
+                    _ => Ok(None),
+                }
+            }
+            _ => Err(AbortCode::COMMAND),
+        }
+    }
+
+    fn send_segment(&mut self, at: usize, toggle: bool) -> Request {
+        let s = segment(&self.data, at, toggle);
+        self.step = Step::DownloadSegment { sent: at + s.len, toggle };
+        Request::DownloadSegment(s)
+    }
+
+    /// Time-out: the failure and the abort to send.
+    pub fn poll(&mut self, now_ns: u64) -> (Outcome, Option<[u8; 8]>) {
+        if self.step == Step::Idle || now_ns < self.deadline_ns {
+            return (Outcome::Pending, None);
+        }
+        self.step = Step::Idle;
+        let abort = Request::Abort { index: self.index, sub: self.sub, code: AbortCode::TIMEOUT };
+        #[allow(clippy::cast_possible_truncation)] // milliseconds of a time-out
+        let timeout_ms = (self.timeout_ns / 1_000_000) as u32;
+        (Outcome::Failed(SdoError::Timeout { timeout_ms }), Some(abort.encode()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sdo_server::{ObjectAccess, SdoServer};
+    use super::*;
+    use proptest::prelude::*;
+
+    /// One object, 2000:01, of any bytes; 2000:02 is read-only.
+    struct One(Vec<u8>);
+
+    impl ObjectAccess for One {
+        fn read(&mut self, index: u16, sub: u8) -> Result<Vec<u8>, AbortCode> {
+            match (index, sub) {
+                (0x2000, 1) => Ok(self.0.clone()),
+                (0x2000, _) => Err(AbortCode::NO_SUB_INDEX),
+                _ => Err(AbortCode::NO_OBJECT),
+            }
+        }
+        fn write(&mut self, index: u16, sub: u8, data: &[u8]) -> Result<(), AbortCode> {
+            self.check_write(index, sub)?;
+            self.0 = data.to_vec();
+            Ok(())
+        }
+        fn check_write(&mut self, index: u16, sub: u8) -> Result<(), AbortCode> {
+            match (index, sub) {
+                (0x2000, 1) => Ok(()),
+                (0x2000, 2) => Err(AbortCode::READ_ONLY),
+                _ => Err(AbortCode::NO_OBJECT),
+            }
+        }
+    }
+
+    fn run(client: &mut SdoClient, server: &mut SdoServer, objects: &mut One, first: [u8; 8]) -> Outcome {
+        let mut next = Some(first);
+        for _ in 0..400 {
+            let Some(response) = next.and_then(|p| server.on_request(&p, objects)) else { break };
+            let (outcome, reply) = client.on_response(&response, 0);
+            if outcome != Outcome::Pending {
+                return outcome;
+            }
+            next = reply;
+        }
+        Outcome::Pending
+    }
+
+    proptest! {
+        #[test]
+        fn every_length_survives_writing_and_reading_back(value in proptest::collection::vec(any::<u8>(), 1..300)) {
+            let (mut c, mut s, mut o) = (SdoClient::new(1000), SdoServer::new(), One(vec![]));
+            let first = c.download(0x2000, 1, &value, 0);
+            prop_assert_eq!(run(&mut c, &mut s, &mut o, first), Outcome::Done(vec![]));
+            prop_assert_eq!(&o.0, &value);
+            let first = c.upload(0x2000, 1, 0);
+            prop_assert_eq!(run(&mut c, &mut s, &mut o, first), Outcome::Done(value));
+        }
+
+        #[test]
+        fn arbitrary_frames_panic_neither_side(frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..9), 0..60)) {
+            let (mut c, mut s, mut o) = (SdoClient::new(1000), SdoServer::new(), One(vec![1; 30]));
+            for (i, f) in frames.iter().enumerate() {
+                if i % 7 == 0 { let _ = c.upload(0x2000, 1, 0); }
+                if i % 7 == 3 { let _ = c.download(0x2000, 1, &[7; 20], 0); }
+                let _ = s.on_request(f, &mut o);
+                let _ = c.on_response(f, 0);
+            }
+        }
+
+        #[test]
+        fn requests_and_responses_round_trip(bytes: [u8; 8]) {
+            if let Some(r) = Request::decode(&bytes) {
+                prop_assert_eq!(Request::decode(&r.encode()), Some(r));
+            }
+            if let Some(r) = Response::decode(&bytes) {
+                prop_assert_eq!(Response::decode(&r.encode()), Some(r));
+            }
+        }
+    }
+
+    #[test]
+    fn aborts_carry_their_reason() {
+        let (mut c, mut s, mut o) = (SdoClient::new(1000), SdoServer::new(), One(vec![]));
+        for (index, sub, code) in [(0x2000, 2, AbortCode::READ_ONLY), (0x3000, 0, AbortCode::NO_OBJECT)] {
+            for value in [&[1u8, 2][..], &[0; 20]] {
+                let first = c.download(index, sub, value, 0);
+                assert_eq!(run(&mut c, &mut s, &mut o, first), Outcome::Failed(SdoError::Aborted(code)));
+            }
+        }
+        assert!(AbortCode::READ_ONLY.to_string().contains("read-only"));
+    }
+
+    #[test]
+    fn a_repeated_segment_aborts_with_the_toggle_code() {
+        let (mut s, mut o) = (SdoServer::new(), One(vec![9; 30]));
+        let up = |t| Request::UploadSegment(t).encode();
+        assert!(s.on_request(&Request::Upload { index: 0x2000, sub: 1 }.encode(), &mut o).is_some());
+        assert!(s.on_request(&up(false), &mut o).is_some());
+        let again = s.on_request(&up(false), &mut o).unwrap();
+        let expected = Response::Abort { index: 0x2000, sub: 1, code: AbortCode::TOGGLE };
+        assert_eq!(Response::decode(&again), Some(expected));
+    }
+
+    #[test]
+    fn silence_times_out_and_aborts() {
+        let mut c = SdoClient::new(5_000_000);
+        let _ = c.upload(0x1000, 0, 100);
+        assert_eq!(c.poll(5_000_099), (Outcome::Pending, None));
+        let (outcome, abort) = c.poll(5_000_100);
+        assert_eq!(outcome, Outcome::Failed(SdoError::Timeout { timeout_ms: 5 }));
+        assert_eq!(abort.unwrap()[0], 0x80);
+        assert!(!c.is_busy());
+    }
+
+    #[test]
+    fn a_late_answer_to_another_object_is_ignored() {
+        let mut c = SdoClient::new(1000);
+        let _ = c.upload(0x6041, 0, 0);
+        let late = Response::Upload { index: 0x1000, sub: 0, start: Start::Expedited(Some(4), [1; 4]) };
+        assert_eq!(c.on_response(&late.encode(), 1), (Outcome::Pending, None));
+        assert!(c.is_busy());
+    }
+}

@@ -1,0 +1,194 @@
+//! What the master needs to know of the drives and of time.
+
+use super::objects as o;
+use crate::canopen::NodeId;
+use thiserror::Error;
+
+/// Most drives of one master: the width of [`super::DriveMask`].
+pub const DRIVES_MAX: usize = 128;
+
+/// Identity that a drive must show (object 1018); `None` accepts anything.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Identity {
+    /// Vendor, 1018:01.
+    pub vendor: Option<u32>,
+    /// Product code, 1018:02.
+    pub product: Option<u32>,
+    /// Revision, 1018:03.
+    pub revision: Option<u32>,
+    /// Serial number, 1018:04.
+    pub serial: Option<u32>,
+}
+
+/// A value that is written by SDO at start and read back.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ObjectWrite {
+    /// Index.
+    pub index: u16,
+    /// Sub-index.
+    pub sub: u8,
+    /// Little-endian bytes.
+    pub data: Vec<u8>,
+    /// A drive without this object is accepted, and the fact noted.
+    pub optional: bool,
+}
+
+impl ObjectWrite {
+    /// The guard of sinew's simulated drive: SYNC timeout (us, 0 off) and safe torque (per mille of rated torque).
+    pub fn sinew_guard(sync_timeout_us: u32, safe_torque_permille: i16) -> [Self; 2] {
+        let write = |sub, data| Self { index: o::GUARD, sub, data, optional: false };
+        [write(1, sync_timeout_us.to_le_bytes().to_vec()), write(2, safe_torque_permille.to_le_bytes().to_vec())]
+    }
+}
+
+/// One drive; its place in the list is its cable's index.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DriveSetup {
+    /// Which of the master's buses.
+    pub bus: usize,
+    /// Node id on it.
+    pub node: NodeId,
+    /// Identity to be checked.
+    pub identity: Identity,
+    /// Rated torque that 6076 must show (mN m), if known.
+    pub rated_torque_mnm: Option<u32>,
+    /// Largest torque (per mille of rated torque), written to 6072 and enforced by the master too.
+    pub torque_permille_max: u16,
+    /// Further objects, written last.
+    pub writes: Vec<ObjectWrite>,
+}
+
+impl DriveSetup {
+    /// A drive of any identity, torque up to its rated torque.
+    pub fn new(bus: usize, node: NodeId) -> Self {
+        Self {
+            bus,
+            node,
+            identity: Identity::default(),
+            rated_torque_mnm: None,
+            torque_permille_max: 1000,
+            writes: Vec::new(),
+        }
+    }
+}
+
+/// Whether drives go through a procedure together or each after the one before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Order {
+    /// All at once.
+    #[default]
+    Parallel,
+    /// One after the other, in the order of the list.
+    OneByOne,
+    /// One after the other, from the end of the list.
+    OneByOneReversed,
+}
+
+/// The master's settings.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MasterConfig {
+    /// Drives in the order of cables, at most 128.
+    pub drives: Vec<DriveSetup>,
+    /// The master's own node id, under which its heartbeat runs.
+    pub node: NodeId,
+    /// Period of the master's heartbeat (ms).
+    pub heartbeat_ms: u16,
+    /// After this time without it the drives go safe (ms), object 1016.
+    pub heartbeat_timeout_ms: u16,
+    /// Period of each drive's heartbeat (ms), object 1017.
+    pub drive_heartbeat_ms: u16,
+    /// After this time without it a drive counts as lost (ms).
+    pub drive_heartbeat_timeout_ms: u16,
+    /// Period of SYNC (us), object 1006.
+    pub cycle_us: u32,
+    /// Time granted to each SDO response (ms).
+    pub sdo_timeout_ms: u32,
+    /// Repetitions of a transfer after a time-out.
+    pub sdo_retries: u32,
+    /// Time granted from reset to boot-up (ms).
+    pub boot_timeout_ms: u32,
+    /// Time granted to each transition of the NMT and power state machines (ms).
+    pub transition_timeout_ms: u32,
+    /// Order of boot-up and configuration.
+    pub order_of_start: Order,
+    /// Order of enabling.
+    pub order_of_enabling: Order,
+    /// Order of disabling.
+    pub order_of_disabling: Order,
+}
+
+impl MasterConfig {
+    /// Defaults for the drives given: heartbeats of 50 ms with time-outs of 200 ms (four may be missed in a row but
+    /// not five), SDO 100 ms twice repeated, boot-up 5 s, transitions 1 s.
+    pub fn new(drives: Vec<DriveSetup>, node: NodeId, cycle_us: u32) -> Self {
+        Self {
+            drives,
+            node,
+            heartbeat_ms: 50,
+            heartbeat_timeout_ms: 200,
+            drive_heartbeat_ms: 50,
+            drive_heartbeat_timeout_ms: 200,
+            cycle_us,
+            sdo_timeout_ms: 100,
+            sdo_retries: 2,
+            boot_timeout_ms: 5000,
+            transition_timeout_ms: 1000,
+            order_of_start: Order::Parallel,
+            order_of_enabling: Order::Parallel,
+            order_of_disabling: Order::Parallel,
+        }
+    }
+
+    /// Checks what can be checked before a frame is sent.
+    ///
+    /// # Errors
+    /// [`SetupError`].
+    pub fn check(&self, buses: usize) -> Result<(), SetupError> {
+        if self.drives.is_empty() || self.drives.len() > DRIVES_MAX {
+            return Err(SetupError::Count(self.drives.len()));
+        }
+        for (i, d) in self.drives.iter().enumerate() {
+            if d.bus >= buses {
+                return Err(SetupError::Bus { drive: i, bus: d.bus, buses });
+            }
+            if d.node == self.node {
+                return Err(SetupError::MastersNode { drive: i, node: d.node });
+            }
+            if let Some(j) = self.drives[..i].iter().position(|e| (e.bus, e.node) == (d.bus, d.node)) {
+                return Err(SetupError::Twice { first: j, second: i, bus: d.bus, node: d.node });
+            }
+        }
+        for (name, period, timeout) in [
+            ("master's heartbeat", self.heartbeat_ms, self.heartbeat_timeout_ms),
+            ("drives' heartbeat", self.drive_heartbeat_ms, self.drive_heartbeat_timeout_ms),
+        ] {
+            if period == 0 || timeout <= period {
+                return Err(SetupError::Heartbeat { name, period, timeout });
+            }
+        }
+        if self.cycle_us == 0 {
+            return Err(SetupError::Cycle);
+        }
+        Ok(())
+    }
+}
+
+/// Settings that cannot work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[allow(missing_docs)] // the messages say it
+pub enum SetupError {
+    #[error("{0} drives; 1 to 128 are possible")]
+    Count(usize),
+    #[error("drive {drive} is on bus {bus}, but there are {buses} buses")]
+    Bus { drive: usize, bus: usize, buses: usize },
+    #[error("drive {drive} has the master's own node id {node}")]
+    MastersNode { drive: usize, node: NodeId },
+    #[error("drives {first} and {second} both have node id {node} on bus {bus}")]
+    Twice { first: usize, second: usize, bus: usize, node: NodeId },
+    #[error("{name}: period {period} ms must be above 0 and below its time-out of {timeout} ms")]
+    Heartbeat { name: &'static str, period: u16, timeout: u16 },
+    #[error("the cycle must be longer than 0 us")]
+    Cycle,
+    #[error("a bus handle could not be duplicated, operating system error {0}")]
+    Duplicate(i32),
+}

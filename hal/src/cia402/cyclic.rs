@@ -1,0 +1,259 @@
+//! The cyclic traffic: torques out on the control thread, feedback in on the receive thread.
+//!
+//! Neither side allocates, blocks or formats after it is made. They share one counter, the number of the cycle, and the
+//! controlwords that the master's slow side sets.
+
+use super::objects::{decode_tpdo1, encode_rpdo1};
+use crate::can::{CanBus, Frame, Id, Kind, Received, SendError};
+use crate::canopen::NodeId;
+use crate::canopen::cob::{RPDO, SYNC, TPDO};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+
+/// A set of drives by index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub struct DriveMask(pub u128);
+
+impl DriveMask {
+    /// The first `count` drives.
+    pub const fn first(count: usize) -> Self {
+        Self(if count >= 128 { u128::MAX } else { (1 << count) - 1 })
+    }
+
+    /// Adds a drive.
+    pub fn insert(&mut self, drive: usize) {
+        self.0 |= 1u128.checked_shl(drive as u32).unwrap_or(0);
+    }
+
+    /// True if the drive is in it.
+    pub fn contains(self, drive: usize) -> bool {
+        self.0.checked_shr(drive as u32).unwrap_or(0) & 1 != 0
+    }
+
+    /// True without a drive.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The indices in it, ascending.
+    pub fn iter(self) -> impl Iterator<Item = usize> {
+        (0..128).filter(move |&d| self.contains(d))
+    }
+}
+
+/// What control thread, receive thread and master share.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) controlwords: Box<[AtomicU16]>,
+    pub(crate) cycle: AtomicU64,
+}
+
+/// Where a drive is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Address {
+    pub(crate) bus: usize,
+    pub(crate) node: NodeId,
+    pub(crate) torque_permille_max: i16,
+}
+
+/// What a cycle's sending came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CycleReport {
+    /// Number of the cycle, from 1.
+    pub cycle: u64,
+    /// Drives whose RPDO was not taken by their bus: they keep the torque of the cycle before.
+    pub not_sent: DriveMask,
+    /// Drives whose torque was cut to their limit.
+    pub limited: DriveMask,
+    /// Buses (bit by index) whose SYNC was not taken: all drives there keep their torque.
+    pub sync_not_sent: u32,
+    /// The first refusal.
+    pub error: Option<SendError>,
+}
+
+/// Sends torques; belongs to the control thread.
+pub struct CycleWriter {
+    pub(crate) buses: Vec<Box<dyn CanBus>>,
+    pub(crate) drives: Vec<Address>,
+    pub(crate) shared: Arc<Shared>,
+}
+
+impl CycleWriter {
+    /// Number of drives.
+    pub fn drive_count(&self) -> usize {
+        self.drives.len()
+    }
+
+    /// Sends every drive its controlword and torque (per mille of rated torque, positive pulls), then SYNC on every
+    /// bus. A drive for which no torque is given gets 0. Allocates nothing and does not block.
+    pub fn write_cycle(&mut self, torques_permille: &[i16]) -> CycleReport {
+        // Counted before SYNC leaves, so that the receive side never sees a SYNC whose number is not there yet.
+        let cycle = self.shared.cycle.fetch_add(1, Ordering::AcqRel) + 1;
+        let mut report = CycleReport { cycle, ..CycleReport::default() };
+        for (i, d) in self.drives.iter().enumerate() {
+            let wanted = torques_permille.get(i).copied().unwrap_or(0);
+            let torque = wanted.clamp(-d.torque_permille_max, d.torque_permille_max);
+            if torque != wanted {
+                report.limited.insert(i);
+            }
+            let word = self.shared.controlwords[i].load(Ordering::Acquire);
+            if let Err(e) = send(&mut self.buses, d.bus, d.node.cob(RPDO), &encode_rpdo1(word, torque)) {
+                report.not_sent.insert(i);
+                report.error.get_or_insert(e);
+            }
+        }
+        for bus in 0..self.buses.len() {
+            if let Err(e) = send(&mut self.buses, bus, SYNC, &[]) {
+                report.sync_not_sent |= 1u32.checked_shl(bus as u32).unwrap_or(0);
+                report.error.get_or_insert(e);
+            }
+        }
+        report
+    }
+}
+
+fn send(buses: &mut [Box<dyn CanBus>], bus: usize, id: u16, data: &[u8]) -> Result<(), SendError> {
+    let frame = Frame::classic(Id::Standard(id), data).map_err(|_| SendError::Unsupported)?;
+    buses.get_mut(bus).ok_or(SendError::Unsupported)?.send(&frame)
+}
+
+/// Last feedback of a drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Feedback {
+    /// Statusword.
+    pub statusword: u16,
+    /// Position (counts).
+    pub position_counts: i32,
+    /// Torque (per mille of rated torque).
+    pub torque_permille: i16,
+    /// Receive time (ns), 0 before the first.
+    pub time_ns: u64,
+    /// Cycle to whose SYNC it answers.
+    pub cycle: u64,
+}
+
+/// What a frame meant to the decoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Event {
+    /// Nothing of the cyclic traffic, or a duplicate.
+    None,
+    /// A SYNC opened a cycle whose predecessor is complete, or came once more on another bus.
+    Sync,
+    /// A SYNC opened a cycle although these drives had not answered the one before.
+    Incomplete {
+        /// The cycle before.
+        cycle: u64,
+        /// Drives that did not answer.
+        missing: DriveMask,
+    },
+    /// Feedback of one drive.
+    Feedback(usize),
+    /// Feedback of the last drive that was missing: the set is complete.
+    Complete {
+        /// The cycle.
+        cycle: u64,
+        /// Receive time of its first SYNC (ns).
+        sync_ns: u64,
+    },
+    /// A TPDO of a drive that is too short.
+    Malformed(usize),
+}
+
+/// Collects feedback; belongs to the receive thread. Its bus handle must see the SYNCs that the control thread's handle
+/// sends, as another handle of the same bus does.
+#[derive(Debug, Clone)]
+pub struct Decoder {
+    /// Drive by bus and node, 255: none.
+    by_node: Vec<[u8; 128]>,
+    feedback: Vec<Feedback>,
+    /// Cycle to which answers on each bus belong.
+    bus_cycle: Vec<u64>,
+    all: DriveMask,
+    seen: DriveMask,
+    cycle: u64,
+    sync_ns: u64,
+    shared: Arc<Shared>,
+}
+
+impl Decoder {
+    pub(crate) fn new(drives: &[Address], buses: usize, shared: Arc<Shared>) -> Self {
+        let mut by_node = vec![[255; 128]; buses];
+        for (i, d) in drives.iter().enumerate() {
+            by_node[d.bus][usize::from(d.node.get())] = i as u8;
+        }
+        Self {
+            by_node,
+            feedback: vec![Feedback::default(); drives.len()],
+            bus_cycle: vec![0; buses],
+            all: DriveMask::first(drives.len()),
+            seen: DriveMask::default(),
+            cycle: 0,
+            sync_ns: 0,
+            shared,
+        }
+    }
+
+    /// Last feedback of each drive, in the order of cables.
+    pub fn feedback(&self) -> &[Feedback] {
+        &self.feedback
+    }
+
+    /// The cycle being collected, 0 before the first.
+    pub fn cycle(&self) -> u64 {
+        self.cycle
+    }
+
+    /// Receive time of the first SYNC of this cycle (ns).
+    pub fn sync_ns(&self) -> u64 {
+        self.sync_ns
+    }
+
+    /// Drives that have not answered this cycle's SYNC.
+    pub fn missing(&self) -> DriveMask {
+        DriveMask(self.all.0 & !self.seen.0)
+    }
+
+    /// Handles one frame received on the given bus. Allocates nothing.
+    pub fn on_frame(&mut self, bus: usize, received: &Received) -> Event {
+        let Id::Standard(id) = received.frame.id() else { return Event::None };
+        if bus >= self.by_node.len() || received.frame.kind() == Kind::Remote {
+            return Event::None;
+        }
+        if id == SYNC {
+            return self.on_sync(bus, received.time_ns);
+        }
+        if id & 0x780 != TPDO {
+            return Event::None;
+        }
+        let drive = usize::from(self.by_node[bus][usize::from(id & 0x7f)]);
+        let Some(feedback) = self.feedback.get_mut(drive) else { return Event::None };
+        let Some((statusword, position_counts, torque_permille)) = decode_tpdo1(received.frame.data()) else {
+            return Event::Malformed(drive);
+        };
+        let cycle = self.bus_cycle[bus];
+        let time_ns = received.time_ns;
+        *feedback = Feedback { statusword, position_counts, torque_permille, time_ns, cycle };
+        if cycle != self.cycle || cycle == 0 {
+            return Event::Feedback(drive);
+        }
+        let before = self.seen;
+        self.seen.insert(drive);
+        if self.seen == self.all && before != self.all {
+            return Event::Complete { cycle, sync_ns: self.sync_ns };
+        }
+        Event::Feedback(drive)
+    }
+
+    fn on_sync(&mut self, bus: usize, time_ns: u64) -> Event {
+        let cycle = self.shared.cycle.load(Ordering::Acquire);
+        self.bus_cycle[bus] = cycle;
+        if cycle == self.cycle {
+            return Event::Sync;
+        }
+        let (before, missing) = (self.cycle, self.missing());
+        self.cycle = cycle;
+        self.seen = DriveMask::default();
+        self.sync_ns = time_ns;
+        if before != 0 && !missing.is_empty() { Event::Incomplete { cycle: before, missing } } else { Event::Sync }
+    }
+}

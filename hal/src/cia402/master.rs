@@ -1,0 +1,684 @@
+//! The master of many drives: boot-up, configuration, enabling, disabling, fault reset, supervision.
+//!
+//! A state machine that is polled: [`Master::on_frame`] for each frame received, [`Master::poll`] for time. Neither
+//! waits. It sends on handles of its own; the control thread has the [`CycleWriter`]. As long as the writer has not
+//! been taken, the master itself sends cycles of zero torque, so that state changes, which travel in RPDO 1 and count
+//! from the next SYNC on, happen without a control loop.
+
+use super::config::{MasterConfig, Order, SetupError};
+use super::cyclic::{Address, CycleWriter, Decoder, Shared};
+use super::fault::{DriveFault, Fault};
+use super::objects::decode_tpdo1;
+use super::script::{Advance, Runner};
+use super::state::{Command, State};
+use crate::can::{CanBus, Frame, Received};
+use crate::canopen::cob::{SDO_REQUEST, frame};
+use crate::canopen::{Emergency, Message, NmtCommand, NmtState};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+
+/// Faults kept; older ones are dropped first and counted.
+pub const FAULTS_MAX: usize = 512;
+/// Emergency objects kept of each drive.
+pub const EMERGENCIES_MAX: usize = 16;
+/// Frames served by one [`Master::pump`], so that it has an end on a busy bus.
+const FRAMES_PER_PUMP: usize = 1024;
+
+/// Where the drives are to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Goal {
+    /// "Switch on disabled": no power.
+    #[default]
+    Disabled,
+    /// "Operation enabled": torque.
+    Enabled,
+    /// Quick stop of what is enabled; the rest as disabled.
+    QuickStop,
+}
+
+/// How far a drive's communication is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// Not started, or waiting for its turn.
+    Waiting,
+    /// Reset; boot-up awaited.
+    Booting,
+    /// The SDO script runs.
+    Configuring,
+    /// Told to become operational.
+    Starting,
+    /// Operational; follows the goal.
+    Ready,
+    /// Unusable until the next start; the fault list says why.
+    Failed,
+}
+
+/// What the master knows of a drive.
+#[derive(Debug, Clone)]
+pub struct DriveStatus {
+    /// How far its communication is.
+    pub phase: Phase,
+    /// Last NMT state that it reported.
+    pub nmt: Option<NmtState>,
+    /// Last statusword of TPDO 1, `None` before the first.
+    pub statusword: Option<u16>,
+    /// Steps of the script done, and in all.
+    pub steps: (usize, usize),
+    /// Rated torque (mN m), object 6076.
+    pub rated_torque_mnm: Option<u32>,
+    /// Error register of its last emergency object.
+    pub error_register: u8,
+    /// Its emergency objects with receive time (ns), newest last.
+    pub emergencies: VecDeque<(u64, Emergency)>,
+    /// Optional objects that it has not.
+    pub absent: Vec<(u16, u8)>,
+}
+
+impl DriveStatus {
+    /// State of the power state machine.
+    pub fn state(&self) -> Option<State> {
+        self.statusword.and_then(State::from_statusword)
+    }
+}
+
+/// Sum over all drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Progress {
+    /// Number of drives.
+    pub drives: usize,
+    /// Waiting, booting, configuring or starting.
+    pub starting: usize,
+    /// Operational.
+    pub ready: usize,
+    /// In "operation enabled".
+    pub enabled: usize,
+    /// In "fault" or its reaction.
+    pub faulted: usize,
+    /// Unusable.
+    pub failed: usize,
+    /// All drives are operational and where the goal wants them.
+    pub at_goal: bool,
+    /// Script steps done, over all drives.
+    pub steps_done: usize,
+    /// Script steps in all, as far as known.
+    pub steps: usize,
+}
+
+struct Slot {
+    status: DriveStatus,
+    runner: Option<Runner>,
+    /// Since when the present phase, or the present wish for a transition, lasts (ns).
+    since_ns: u64,
+    heartbeat_ns: Option<u64>,
+    heartbeat_lost: bool,
+    /// State wanted next, with the cycle at which it was first commanded.
+    wanted: Option<State>,
+    /// Transitions were given up until the goal is set anew.
+    stuck: bool,
+    /// It reached "operation enabled" under the present goal.
+    was_enabled: bool,
+    /// Fault reset under way: cycle at which bit 7 was last changed.
+    resetting: Option<u64>,
+}
+
+/// The master.
+pub struct Master {
+    config: MasterConfig,
+    buses: Vec<Box<dyn CanBus>>,
+    outbox: Vec<VecDeque<Frame>>,
+    slots: Vec<Slot>,
+    addresses: Vec<Address>,
+    shared: Arc<Shared>,
+    writer: Option<CycleWriter>,
+    zeros: Vec<i16>,
+    goal: Goal,
+    faults: VecDeque<DriveFault>,
+    faults_dropped: u64,
+    heartbeat_due_ns: u64,
+    cycle_due_ns: u64,
+    started: bool,
+}
+
+impl Master {
+    /// A master on the buses given; nothing is sent before [`Self::start`].
+    ///
+    /// # Errors
+    /// [`SetupError`].
+    pub fn new(config: MasterConfig, buses: Vec<Box<dyn CanBus>>) -> Result<Self, SetupError> {
+        config.check(buses.len())?;
+        let addresses: Vec<_> = config
+            .drives
+            .iter()
+            .map(|d| Address {
+                bus: d.bus,
+                node: d.node,
+                torque_permille_max: i16::try_from(d.torque_permille_max).unwrap_or(i16::MAX),
+            })
+            .collect();
+        let shared = Arc::new(Shared {
+            controlwords: addresses.iter().map(|_| AtomicU16::new(0)).collect(),
+            cycle: AtomicU64::new(0),
+        });
+        let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
+        let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
+        let writer = CycleWriter { buses: handles, drives: addresses.clone(), shared: shared.clone() };
+        Ok(Self {
+            outbox: buses.iter().map(|_| VecDeque::with_capacity(256)).collect(),
+            slots: addresses.iter().map(|_| Slot::new()).collect(),
+            zeros: vec![0; addresses.len()],
+            writer: Some(writer),
+            goal: Goal::Disabled,
+            faults: VecDeque::new(),
+            faults_dropped: 0,
+            heartbeat_due_ns: 0,
+            cycle_due_ns: 0,
+            started: false,
+            config,
+            buses,
+            addresses,
+            shared,
+        })
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &MasterConfig {
+        &self.config
+    }
+
+    /// A decoder of the drives' feedback, for the receive thread.
+    pub fn decoder(&self) -> Decoder {
+        Decoder::new(&self.addresses, self.buses.len(), self.shared.clone())
+    }
+
+    /// Hands the sending of cycles over; from then on SYNC is the caller's duty, and the drives' SYNC timeout its
+    /// deadline. `None` if it was taken before.
+    pub fn take_writer(&mut self) -> Option<CycleWriter> {
+        self.writer.take()
+    }
+
+    /// Takes the sending of cycles back: zero torque from the next [`Self::poll`] on.
+    pub fn return_writer(&mut self, writer: CycleWriter) {
+        self.writer = Some(writer);
+    }
+
+    /// Starts from scratch: every drive is reset, configured and made operational. The goal becomes disabled.
+    pub fn start(&mut self, now_ns: u64) {
+        self.goal = Goal::Disabled;
+        self.started = true;
+        self.heartbeat_due_ns = now_ns;
+        self.cycle_due_ns = now_ns;
+        for i in 0..self.slots.len() {
+            self.slots[i] = Slot::new();
+            self.slots[i].since_ns = now_ns;
+            self.shared.controlwords[i].store(0, Ordering::Release);
+        }
+    }
+
+    /// Sets where the drives are to be. Drives that got stuck or dropped out under the goal before are tried anew.
+    pub fn set_goal(&mut self, goal: Goal, now_ns: u64) {
+        self.goal = goal;
+        for s in &mut self.slots {
+            s.stuck = false;
+            s.was_enabled = false;
+            s.wanted = None;
+            s.since_ns = now_ns;
+        }
+    }
+
+    /// The goal.
+    pub fn goal(&self) -> Goal {
+        self.goal
+    }
+
+    /// Resets the latched fault of every drive that has one; the goal becomes disabled.
+    pub fn reset_faults(&mut self, now_ns: u64) {
+        self.set_goal(Goal::Disabled, now_ns);
+        let cycle = self.shared.cycle.load(Ordering::Acquire);
+        for (i, s) in self.slots.iter_mut().enumerate() {
+            if s.status.phase == Phase::Ready && s.status.state() == Some(State::Fault) {
+                self.shared.controlwords[i].store(0, Ordering::Release);
+                s.resetting = Some(cycle);
+            }
+        }
+    }
+
+    /// What is known of each drive, in the order of cables.
+    pub fn status(&self) -> impl ExactSizeIterator<Item = &DriveStatus> {
+        self.slots.iter().map(|s| &s.status)
+    }
+
+    /// Faults since the last call, oldest first.
+    pub fn take_faults(&mut self) -> Vec<DriveFault> {
+        self.faults.drain(..).collect()
+    }
+
+    /// Faults dropped because nobody took them.
+    pub fn faults_dropped(&self) -> u64 {
+        self.faults_dropped
+    }
+
+    fn fault(&mut self, drive: usize, time_ns: u64, fault: Fault) {
+        let Address { bus, node, .. } = self.addresses[drive];
+        if self.faults.len() == FAULTS_MAX {
+            self.faults.pop_front();
+            self.faults_dropped += 1;
+        }
+        self.faults.push_back(DriveFault { drive, bus, node, time_ns, fault });
+    }
+
+    fn fail(&mut self, drive: usize, time_ns: u64, fault: Fault) {
+        self.slots[drive].status.phase = Phase::Failed;
+        self.slots[drive].runner = None;
+        self.shared.controlwords[drive].store(0, Ordering::Release);
+        self.fault(drive, time_ns, fault);
+    }
+
+    fn send(&mut self, bus: usize, frame: Frame) {
+        self.outbox[bus].push_back(frame);
+    }
+
+    fn send_sdo(&mut self, drive: usize, payload: &[u8; 8]) {
+        let Address { bus, node, .. } = self.addresses[drive];
+        if let Ok(f) = frame(node.cob(SDO_REQUEST), payload) {
+            self.send(bus, f);
+        }
+    }
+
+    /// Receives what waits on the master's own handles, without waiting, then polls. For callers without a receive
+    /// thread.
+    pub fn pump(&mut self, now_ns: u64) -> Progress {
+        for bus in 0..self.buses.len() {
+            for _ in 0..FRAMES_PER_PUMP {
+                match self.buses[bus].receive(std::time::Duration::ZERO) {
+                    Ok(Some(received)) => self.on_frame(bus, &received, now_ns),
+                    _ => break,
+                }
+            }
+        }
+        self.poll(now_ns)
+    }
+
+    /// Handles one frame received on the given bus.
+    pub fn on_frame(&mut self, bus: usize, received: &Received, now_ns: u64) {
+        let Some(message) = Message::of(&received.frame) else { return };
+        let node = match message {
+            Message::Heartbeat(n) | Message::SdoResponse(n) | Message::Emergency(n) | Message::Tpdo(1, n) => n,
+            _ => return,
+        };
+        let Some(i) = self.addresses.iter().position(|a| a.bus == bus && a.node == node) else { return };
+        let data = received.frame.data();
+        match message {
+            Message::Heartbeat(_) => self.on_heartbeat(i, NmtState::decode(data), now_ns),
+            Message::SdoResponse(_) => {
+                if let Some(mut runner) = self.slots[i].runner.take() {
+                    let advance = runner.on_response(data, now_ns);
+                    self.slots[i].runner = Some(runner);
+                    self.advance(i, advance, now_ns);
+                }
+            }
+            Message::Emergency(_) => {
+                if let Some(e) = Emergency::decode(data) {
+                    self.on_emergency(i, e, received.time_ns);
+                }
+            }
+            _ => {
+                if let Some((word, ..)) = decode_tpdo1(data) {
+                    self.slots[i].status.statusword = Some(word);
+                }
+            }
+        }
+    }
+
+    fn on_emergency(&mut self, i: usize, e: Emergency, time_ns: u64) {
+        let status = &mut self.slots[i].status;
+        status.error_register = e.register;
+        if status.emergencies.len() == EMERGENCIES_MAX {
+            status.emergencies.pop_front();
+        }
+        status.emergencies.push_back((time_ns, e));
+        if !e.is_reset() {
+            self.fault(i, time_ns, Fault::Emergency(e));
+        }
+    }
+
+    fn on_heartbeat(&mut self, i: usize, state: Option<NmtState>, now_ns: u64) {
+        let Some(state) = state else { return };
+        let slot = &mut self.slots[i];
+        slot.status.nmt = Some(state);
+        slot.heartbeat_ns = Some(now_ns);
+        slot.heartbeat_lost = false;
+        match (slot.status.phase, state) {
+            (Phase::Booting, NmtState::BootUp) => {
+                slot.status.phase = Phase::Configuring;
+                slot.heartbeat_ns = None;
+                let mut runner = Runner::new(&self.config, &self.config.drives[i]);
+                let first = runner.start(now_ns);
+                self.slots[i].runner = Some(runner);
+                self.advance(i, first, now_ns);
+            }
+            (Phase::Configuring | Phase::Starting | Phase::Ready, NmtState::BootUp) => {
+                self.fail(i, now_ns, Fault::Rebooted);
+            }
+            (Phase::Starting, NmtState::Operational) => {
+                slot.status.phase = Phase::Ready;
+                slot.since_ns = now_ns;
+            }
+            (Phase::Ready, NmtState::PreOperational | NmtState::Stopped) => {
+                self.fail(i, now_ns, Fault::Nmt { expected: NmtState::Operational, found: Some(state) });
+            }
+            _ => {}
+        }
+    }
+
+    fn advance(&mut self, i: usize, advance: Advance, now_ns: u64) {
+        if let Some(r) = &self.slots[i].runner {
+            self.slots[i].status.steps = r.progress();
+        }
+        match advance {
+            Advance::Send(payload) => self.send_sdo(i, &payload),
+            Advance::Wait => {}
+            Advance::Failed(fault, abort) => {
+                if let Some(payload) = abort {
+                    self.send_sdo(i, &payload);
+                }
+                self.fail(i, now_ns, fault);
+            }
+            Advance::Done => {
+                let slot = &mut self.slots[i];
+                if let Some(r) = slot.runner.take() {
+                    slot.status.rated_torque_mnm = r.rated_torque_mnm;
+                    slot.status.absent = r.absent;
+                }
+                slot.status.phase = Phase::Starting;
+                slot.since_ns = now_ns;
+                let Address { bus, node, .. } = self.addresses[i];
+                self.send(bus, NmtCommand::Start.encode(Some(node)));
+            }
+        }
+    }
+
+    /// Time: heartbeat, cycles (while the writer is here), time-outs, the next step of each drive. Does not wait.
+    pub fn poll(&mut self, now_ns: u64) -> Progress {
+        if self.started {
+            self.produce_heartbeat(now_ns);
+            self.boot(now_ns);
+            for i in 0..self.slots.len() {
+                self.supervise(i, now_ns);
+            }
+            self.follow_goal(now_ns);
+            self.flush();
+            self.produce_cycle(now_ns);
+        }
+        self.flush();
+        self.progress()
+    }
+
+    fn flush(&mut self) {
+        for (bus, outbox) in self.buses.iter_mut().zip(&mut self.outbox) {
+            while let Some(f) = outbox.front() {
+                match bus.send(f) {
+                    Err(crate::can::SendError::Full) => break,
+                    // What a bus that is down refuses would be stale when it is back: time-outs take care of it.
+                    Ok(()) | Err(_) => outbox.pop_front(),
+                };
+            }
+        }
+    }
+
+    fn produce_heartbeat(&mut self, now_ns: u64) {
+        if now_ns >= self.heartbeat_due_ns {
+            self.heartbeat_due_ns = now_ns + u64::from(self.config.heartbeat_ms) * 1_000_000;
+            let beat = NmtState::Operational.heartbeat(self.config.node);
+            for bus in 0..self.buses.len() {
+                self.send(bus, beat);
+            }
+        }
+    }
+
+    fn produce_cycle(&mut self, now_ns: u64) {
+        // Not before somebody can answer: a drive in configuration has nothing to do with SYNC.
+        let any = self.slots.iter().any(|s| matches!(s.status.phase, Phase::Starting | Phase::Ready));
+        if let Some(writer) = &mut self.writer
+            && any
+            && now_ns >= self.cycle_due_ns
+        {
+            let period_ns = u64::from(self.config.cycle_us) * 1000;
+            self.cycle_due_ns = (self.cycle_due_ns + period_ns).max(now_ns + period_ns / 2);
+            let _ = writer.write_cycle(&self.zeros); // what is lost is repeated with the next cycle
+        }
+    }
+
+    /// Resets the drives whose turn it is.
+    fn boot(&mut self, now_ns: u64) {
+        for i in indices(self.config.order_of_start, self.slots.len()) {
+            match self.slots[i].status.phase {
+                Phase::Waiting => {
+                    let slot = &mut self.slots[i];
+                    slot.status.phase = Phase::Booting;
+                    slot.since_ns = now_ns;
+                    let Address { bus, node, .. } = self.addresses[i];
+                    self.send(bus, NmtCommand::ResetNode.encode(Some(node)));
+                }
+                Phase::Ready | Phase::Failed => continue,
+                _ => {}
+            }
+            if self.config.order_of_start != Order::Parallel {
+                break;
+            }
+        }
+    }
+
+    /// Time-outs of one drive.
+    fn supervise(&mut self, i: usize, now_ns: u64) {
+        let waited_ns = now_ns.saturating_sub(self.slots[i].since_ns);
+        let over = |ms: u32| waited_ns > u64::from(ms) * 1_000_000;
+        match self.slots[i].status.phase {
+            Phase::Booting if over(self.config.boot_timeout_ms) => {
+                self.fail(i, now_ns, Fault::NoBootUp { timeout_ms: self.config.boot_timeout_ms });
+            }
+            Phase::Configuring => {
+                if let Some(mut runner) = self.slots[i].runner.take() {
+                    let advance = runner.poll(now_ns);
+                    self.slots[i].runner = Some(runner);
+                    self.advance(i, advance, now_ns);
+                }
+            }
+            Phase::Starting if over(self.config.transition_timeout_ms) => {
+                let found = self.slots[i].status.nmt;
+                self.fail(i, now_ns, Fault::Nmt { expected: NmtState::Operational, found });
+            }
+            _ => {}
+        }
+        let slot = &mut self.slots[i];
+        let timeout_ms = self.config.drive_heartbeat_timeout_ms;
+        let silent = slot.heartbeat_ns.is_some_and(|t| now_ns.saturating_sub(t) > u64::from(timeout_ms) * 1_000_000);
+        if slot.status.phase == Phase::Ready && silent && !slot.heartbeat_lost {
+            slot.heartbeat_lost = true;
+            self.fault(i, now_ns, Fault::HeartbeatLost { timeout_ms });
+        }
+    }
+
+    /// Moves each drive one transition nearer to the goal, in the order wanted.
+    fn follow_goal(&mut self, now_ns: u64) {
+        let order = if self.goal == Goal::Enabled {
+            self.config.order_of_enabling
+        } else if self.goal == Goal::Disabled {
+            self.config.order_of_disabling
+        } else {
+            Order::Parallel // a quick stop waits for nobody
+        };
+        for i in indices(order, self.slots.len()) {
+            if self.slots[i].status.phase != Phase::Ready {
+                continue;
+            }
+            let arrived = self.step_towards_goal(i, now_ns);
+            if !arrived && order != Order::Parallel && !self.slots[i].stuck {
+                break;
+            }
+        }
+    }
+
+    /// True when the drive is where the goal wants it.
+    fn step_towards_goal(&mut self, i: usize, now_ns: u64) -> bool {
+        let waited_ns = now_ns.saturating_sub(self.slots[i].since_ns);
+        let late = waited_ns > u64::from(self.config.transition_timeout_ms) * 1_000_000;
+        let timeout_ms = self.config.transition_timeout_ms;
+        let Some(statusword) = self.slots[i].status.statusword else {
+            if late && !self.slots[i].stuck {
+                self.slots[i].stuck = true;
+                self.fault(i, now_ns, Fault::NoFeedback { timeout_ms });
+            }
+            return false;
+        };
+        let Some(found) = State::from_statusword(statusword) else { return false };
+        if self.fault_reset(i, found, now_ns) {
+            return false;
+        }
+        let slot = &mut self.slots[i];
+        if self.goal == Goal::Enabled && found == State::OperationEnabled {
+            slot.was_enabled = true;
+        }
+        if self.goal == Goal::Enabled && slot.was_enabled && !slot.stuck && found != State::OperationEnabled {
+            // Never driven back by itself: what took it out may be a person with an emergency stop.
+            slot.stuck = true;
+            self.shared.controlwords[i].store(Command::DisableVoltage.controlword(), Ordering::Release);
+            self.fault(i, now_ns, Fault::LeftOperation { found, statusword });
+            return false;
+        }
+        let Some((wanted, word)) = next(self.goal, found) else {
+            slot.wanted = None;
+            slot.since_ns = now_ns;
+            return reached(self.goal, found);
+        };
+        if slot.stuck {
+            return false;
+        }
+        if slot.wanted != Some(wanted) {
+            slot.wanted = Some(wanted);
+            slot.since_ns = now_ns;
+        } else if late {
+            slot.stuck = true;
+            self.fault(i, now_ns, Fault::Transition { wanted, found, statusword, timeout_ms });
+            return false;
+        }
+        self.shared.controlwords[i].store(word, Ordering::Release);
+        false
+    }
+
+    /// The edge of bit 7 over two cycles each way, so that a lost frame does not swallow it; true while under way.
+    fn fault_reset(&mut self, i: usize, found: State, now_ns: u64) -> bool {
+        let cycle = self.shared.cycle.load(Ordering::Acquire);
+        let slot = &mut self.slots[i];
+        let Some(changed) = slot.resetting else { return false };
+        let word = &self.shared.controlwords[i];
+        if found != State::Fault {
+            slot.resetting = None;
+            slot.since_ns = now_ns;
+            slot.status.error_register = 0;
+            word.store(0, Ordering::Release);
+            return false;
+        }
+        let timeout_ms = self.config.transition_timeout_ms;
+        if now_ns.saturating_sub(slot.since_ns) > u64::from(timeout_ms) * 1_000_000 {
+            slot.resetting = None;
+            slot.stuck = true;
+            word.store(0, Ordering::Release);
+            let statusword = slot.status.statusword.unwrap_or(0);
+            self.fault(i, now_ns, Fault::Transition { wanted: State::SwitchOnDisabled, found, statusword, timeout_ms });
+            return true;
+        }
+        if cycle >= changed + 2 {
+            let set = word.load(Ordering::Acquire) & super::state::FAULT_RESET_BIT != 0;
+            word.store(if set { 0 } else { Command::FaultReset.controlword() }, Ordering::Release);
+            slot.resetting = Some(cycle);
+        }
+        true
+    }
+
+    fn progress(&self) -> Progress {
+        let mut p = Progress { drives: self.slots.len(), ..Progress::default() };
+        let mut at_goal = true;
+        for s in &self.slots {
+            p.steps_done += s.status.steps.0;
+            p.steps += s.status.steps.1;
+            match s.status.phase {
+                Phase::Ready => {
+                    p.ready += 1;
+                    let state = s.status.state();
+                    p.enabled += usize::from(state == Some(State::OperationEnabled));
+                    p.faulted += usize::from(matches!(state, Some(State::Fault | State::FaultReactionActive)));
+                    at_goal &= state.is_some_and(|state| reached(self.goal, state)) && s.resetting.is_none();
+                }
+                Phase::Failed => {
+                    p.failed += 1;
+                    at_goal = false;
+                }
+                _ => {
+                    p.starting += 1;
+                    at_goal = false;
+                }
+            }
+        }
+        p.at_goal = at_goal;
+        p
+    }
+}
+
+impl Slot {
+    fn new() -> Self {
+        Self {
+            status: DriveStatus {
+                phase: Phase::Waiting,
+                nmt: None,
+                statusword: None,
+                steps: (0, 0),
+                rated_torque_mnm: None,
+                error_register: 0,
+                emergencies: VecDeque::new(),
+                absent: Vec::new(),
+            },
+            runner: None,
+            since_ns: 0,
+            heartbeat_ns: None,
+            heartbeat_lost: false,
+            wanted: None,
+            stuck: false,
+            was_enabled: false,
+            resetting: None,
+        }
+    }
+}
+
+fn indices(order: Order, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).map(move |i| if order == Order::OneByOneReversed { count - 1 - i } else { i })
+}
+
+fn reached(goal: Goal, state: State) -> bool {
+    match goal {
+        Goal::Disabled => state == State::SwitchOnDisabled,
+        Goal::Enabled => state == State::OperationEnabled,
+        Goal::QuickStop => matches!(state, State::QuickStopActive | State::SwitchOnDisabled),
+    }
+}
+
+/// Next state and the controlword that leads there; `None` if the goal is reached or nothing can be commanded.
+fn next(goal: Goal, state: State) -> Option<(State, u16)> {
+    use State as S;
+    let step = |to: State, command: Command| Some((to, command.controlword()));
+    match (goal, state) {
+        (_, S::NotReadyToSwitchOn | S::FaultReactionActive | S::Fault) => None,
+        (Goal::Enabled, S::SwitchOnDisabled) => step(S::ReadyToSwitchOn, Command::Shutdown),
+        (Goal::Enabled, S::ReadyToSwitchOn) => step(S::SwitchedOn, Command::SwitchOn),
+        (Goal::Enabled, S::SwitchedOn) => step(S::OperationEnabled, Command::EnableOperation),
+        (Goal::Enabled, S::OperationEnabled) => None,
+        (Goal::Enabled, S::QuickStopActive) => step(S::SwitchOnDisabled, Command::DisableVoltage),
+        (Goal::QuickStop, S::OperationEnabled) => step(S::QuickStopActive, Command::QuickStop),
+        (Goal::QuickStop, S::QuickStopActive | S::SwitchOnDisabled) => None,
+        (Goal::Disabled, S::OperationEnabled) => step(S::SwitchedOn, Command::SwitchOn),
+        (Goal::Disabled | Goal::QuickStop, S::SwitchedOn) => step(S::ReadyToSwitchOn, Command::Shutdown),
+        (Goal::Disabled | Goal::QuickStop, S::ReadyToSwitchOn) => step(S::SwitchOnDisabled, Command::DisableVoltage),
+        (Goal::Disabled, S::QuickStopActive) => step(S::SwitchOnDisabled, Command::DisableVoltage),
+        (Goal::Disabled, S::SwitchOnDisabled) => None,
+    }
+}

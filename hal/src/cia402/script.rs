@@ -1,0 +1,284 @@
+//! The SDO script of one drive: what is checked, written and read back before it may become operational.
+
+use super::config::{DriveSetup, MasterConfig};
+use super::fault::Fault;
+use super::objects as o;
+use crate::canopen::cob::{RPDO, TPDO};
+use crate::canopen::pdo::{COB_INVALID, COB_NO_RTR, Mapped};
+use crate::canopen::sdo::AbortCode;
+use crate::canopen::sdo_client::{Outcome, SdoClient, SdoError};
+
+/// One step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Step {
+    /// Read and compare; `tries` readings may differ before it is a fault.
+    Check {
+        /// Index.
+        index: u16,
+        /// Sub-index.
+        sub: u8,
+        /// Bytes that the object must have.
+        len: usize,
+        /// Value expected.
+        expected: u32,
+        /// Bits compared.
+        mask: u32,
+        /// Readings granted.
+        tries: u32,
+    },
+    /// Write, then read back unless it is the first half of a procedure whose end is read back.
+    Write {
+        /// Index.
+        index: u16,
+        /// Sub-index.
+        sub: u8,
+        /// Bytes.
+        data: Vec<u8>,
+        /// Bits compared on reading back.
+        mask: u32,
+        /// Absence of the object is accepted.
+        optional: bool,
+    },
+    /// Read the rated torque (mN m).
+    RatedTorque,
+}
+
+/// The whole script of a drive.
+pub fn script(config: &MasterConfig, drive: &DriveSetup) -> Vec<Step> {
+    let mut steps = Vec::with_capacity(48);
+    let check = |index, sub, len, expected, mask| Step::Check { index, sub, len, expected, mask, tries: 1 };
+    let write = |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: false };
+    let optional = |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: true };
+
+    steps.push(check(o::DEVICE_TYPE, 0, 4, 402, 0xffff));
+    let id = drive.identity;
+    for (sub, expected) in (1..).zip([id.vendor, id.product, id.revision, id.serial]) {
+        if let Some(expected) = expected {
+            steps.push(check(o::IDENTITY, sub, 4, expected, u32::MAX));
+        }
+    }
+    steps.push(check(o::SUPPORTED_MODES, 0, 4, o::SUPPORTS_CST, o::SUPPORTS_CST));
+    steps.push(Step::RatedTorque);
+
+    steps.push(write(o::HEARTBEAT_PRODUCER, 0, &config.drive_heartbeat_ms.to_le_bytes()));
+    let consumed = u32::from(config.node.get()) << 16 | u32::from(config.heartbeat_timeout_ms);
+    steps.push(write(o::HEARTBEAT_CONSUMER, 1, &consumed.to_le_bytes()));
+    // After a communication error the node stays operational, so that its fault is still seen in TPDO 1; what the
+    // power stage does is 6007's business.
+    steps.push(optional(o::ERROR_BEHAVIOUR, 1, &[1]));
+    steps.push(write(o::ABORT_CONNECTION, 0, &1i16.to_le_bytes()));
+    steps.push(optional(o::CYCLE_PERIOD, 0, &config.cycle_us.to_le_bytes()));
+
+    let rpdo = u32::from(drive.node.cob(RPDO));
+    let tpdo = u32::from(drive.node.cob(TPDO)) | COB_NO_RTR;
+    pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, rpdo, &o::RPDO1);
+    pdo(&mut steps, o::TPDO_COMMUNICATION, o::TPDO_MAPPING, tpdo, &o::TPDO1);
+
+    steps.push(write(o::MAX_TORQUE, 0, &drive.torque_permille_max.to_le_bytes()));
+    steps.push(write(o::TARGET_TORQUE, 0, &0i16.to_le_bytes()));
+    steps.push(write(o::MODE, 0, &o::MODE_CST.to_le_bytes()));
+    // A drive may need some of its own cycles until the display follows.
+    steps.push(Step::Check {
+        index: o::MODE_DISPLAY,
+        sub: 0,
+        len: 1,
+        expected: u32::from(o::MODE_CST.unsigned_abs()),
+        mask: 0xff,
+        tries: 20,
+    });
+    for w in &drive.writes {
+        let (index, sub, optional) = (w.index, w.sub, w.optional);
+        steps.push(Step::Write { index, sub, data: w.data.clone(), mask: u32::MAX, optional });
+    }
+    steps
+}
+
+/// Off, empty, new entries, count, on: the order that CiA 301 prescribes for changing a mapping.
+fn pdo(steps: &mut Vec<Step>, communication: u16, mapping: u16, cob: u32, entries: &[Mapped]) {
+    let mut write = |index, sub, data: Vec<u8>, mask| {
+        steps.push(Step::Write { index, sub, data, mask, optional: false });
+    };
+    // Bit 30 is not compared: drives without remote requests may show either.
+    let cob_mask = COB_INVALID | 0x1fff_ffff;
+    write(communication, 1, (cob | COB_INVALID).to_le_bytes().to_vec(), COB_INVALID);
+    write(communication, 2, vec![1], u32::MAX);
+    write(mapping, 0, vec![0], u32::MAX);
+    for (sub, e) in (1..).zip(entries) {
+        write(mapping, sub, e.encode().to_le_bytes().to_vec(), u32::MAX);
+    }
+    write(mapping, 0, vec![entries.len() as u8], u32::MAX);
+    write(communication, 1, cob.to_le_bytes().to_vec(), cob_mask);
+}
+
+/// What running the script leads to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Advance {
+    /// Send this payload to the node's SDO server.
+    Send([u8; 8]),
+    /// Wait for a response or for time to pass.
+    Wait,
+    /// All steps are done.
+    Done,
+    /// The drive is unusable.
+    Failed(Fault, Option<[u8; 8]>),
+}
+
+/// A script in progress. Allocates; set-up only.
+#[derive(Debug, Clone)]
+pub struct Runner {
+    steps: Vec<Step>,
+    at: usize,
+    client: SdoClient,
+    reading_back: bool,
+    retries: u32,
+    retries_max: u32,
+    tries: u32,
+    /// Rated torque that must be found (mN m).
+    rated_expected: Option<u32>,
+    /// Rated torque found (mN m).
+    pub rated_torque_mnm: Option<u32>,
+    /// Optional objects that the drive has not.
+    pub absent: Vec<(u16, u8)>,
+}
+
+impl Runner {
+    /// A script at its first step.
+    pub fn new(config: &MasterConfig, drive: &DriveSetup) -> Self {
+        Self {
+            steps: script(config, drive),
+            at: 0,
+            client: SdoClient::new(u64::from(config.sdo_timeout_ms) * 1_000_000),
+            reading_back: false,
+            retries: 0,
+            retries_max: config.sdo_retries,
+            tries: 0,
+            rated_expected: drive.rated_torque_mnm,
+            rated_torque_mnm: None,
+            absent: Vec::new(),
+        }
+    }
+
+    /// Steps done and steps in all.
+    pub fn progress(&self) -> (usize, usize) {
+        (self.at, self.steps.len())
+    }
+
+    /// Starts the present step.
+    pub fn start(&mut self, now_ns: u64) -> Advance {
+        match self.steps.get(self.at) {
+            None => Advance::Done,
+            Some(Step::Write { index, sub, data, .. }) if !self.reading_back => {
+                Advance::Send(self.client.download(*index, *sub, data, now_ns))
+            }
+            Some(Step::Write { index, sub, .. } | Step::Check { index, sub, .. }) => {
+                Advance::Send(self.client.upload(*index, *sub, now_ns))
+            }
+            Some(Step::RatedTorque) => Advance::Send(self.client.upload(o::RATED_TORQUE, 0, now_ns)),
+        }
+    }
+
+    /// Handles the payload of a response.
+    pub fn on_response(&mut self, payload: &[u8], now_ns: u64) -> Advance {
+        let (outcome, send) = self.client.on_response(payload, now_ns);
+        self.follow(outcome, send, now_ns)
+    }
+
+    /// Time-outs.
+    pub fn poll(&mut self, now_ns: u64) -> Advance {
+        let (outcome, send) = self.client.poll(now_ns);
+        self.follow(outcome, send, now_ns)
+    }
+
+    fn follow(&mut self, outcome: Outcome, send: Option<[u8; 8]>, now_ns: u64) -> Advance {
+        match outcome {
+            Outcome::Pending => send.map_or(Advance::Wait, Advance::Send),
+            Outcome::Done(value) => match self.judge(&value) {
+                Ok(()) => self.start(now_ns),
+                Err(fault) => Advance::Failed(fault, None),
+            },
+            Outcome::Failed(error) => self.on_error(error, send, now_ns),
+        }
+    }
+
+    fn on_error(&mut self, error: SdoError, send: Option<[u8; 8]>, now_ns: u64) -> Advance {
+        if matches!(error, SdoError::Timeout { .. }) && self.retries < self.retries_max {
+            self.retries += 1;
+            // The abort of the timed-out transfer is left out: the new initiate request ends it on the server too.
+            return self.start(now_ns);
+        }
+        let absent = matches!(error, SdoError::Aborted(AbortCode::NO_OBJECT | AbortCode::NO_SUB_INDEX));
+        let (index, sub, write) = match &self.steps[self.at.min(self.steps.len() - 1)] {
+            Step::Write { index, sub, optional: true, .. } if absent => {
+                self.absent.push((*index, *sub));
+                self.next();
+                return self.start(now_ns);
+            }
+            Step::Write { index, sub, .. } => (*index, *sub, !self.reading_back),
+            Step::Check { index, sub, .. } => (*index, *sub, false),
+            Step::RatedTorque => (o::RATED_TORQUE, 0, false),
+        };
+        Advance::Failed(Fault::Sdo { index, sub, write, error }, send)
+    }
+
+    fn next(&mut self) {
+        self.at += 1;
+        self.reading_back = false;
+        self.retries = 0;
+        self.tries = 0;
+    }
+
+    /// Judges a completed transfer and moves on.
+    fn judge(&mut self, value: &[u8]) -> Result<(), Fault> {
+        let Some(step) = self.steps.get(self.at) else { return Ok(()) };
+        match *step {
+            Step::Write { .. } if !self.reading_back => {
+                self.reading_back = true;
+                self.retries = 0;
+                return Ok(());
+            }
+            Step::Write { index, sub, ref data, mask, .. } => {
+                if data.len() > 4 {
+                    // Compared byte by byte; only the first difference can be named in a word.
+                    if value.len() != data.len() {
+                        return Err(Fault::Length { index, sub, expected: data.len(), found: value.len() });
+                    }
+                    if let Some((a, b)) = data.iter().zip(value).find(|(a, b)| a != b) {
+                        let (expected, found) = (u32::from(*a), u32::from(*b));
+                        return Err(Fault::Value { index, sub, expected, found, mask: 0xff });
+                    }
+                } else {
+                    compare(index, sub, data.len(), word(data), value, mask)?;
+                }
+            }
+            Step::Check { index, sub, len, expected, mask, tries } => {
+                if let Err(fault) = compare(index, sub, len, expected, value, mask) {
+                    self.tries += 1;
+                    return if self.tries < tries { Ok(()) } else { Err(fault) };
+                }
+            }
+            Step::RatedTorque => {
+                let expected = self.rated_expected.unwrap_or_else(|| word(value));
+                compare(o::RATED_TORQUE, 0, 4, expected, value, u32::MAX)?;
+                if word(value) == 0 {
+                    let (index, sub) = (o::RATED_TORQUE, 0);
+                    return Err(Fault::Value { index, sub, expected: 1, found: 0, mask: u32::MAX });
+                }
+                self.rated_torque_mnm = Some(word(value));
+            }
+        }
+        self.next();
+        Ok(())
+    }
+}
+
+fn word(data: &[u8]) -> u32 {
+    data.iter().take(4).rev().fold(0, |w, &b| w << 8 | u32::from(b))
+}
+
+fn compare(index: u16, sub: u8, len: usize, expected: u32, value: &[u8], mask: u32) -> Result<(), Fault> {
+    if value.len() != len {
+        return Err(Fault::Length { index, sub, expected: len, found: value.len() });
+    }
+    let found = word(value);
+    if (found ^ expected) & mask == 0 { Ok(()) } else { Err(Fault::Value { index, sub, expected, found, mask }) }
+}
