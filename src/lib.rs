@@ -9,3 +9,5 @@ pub mod ipc;
 pub mod math;
 pub mod model;
 pub mod planner;
+pub mod report;
+pub mod scenario;
