@@ -388,6 +388,19 @@ fn arm_distance_is_that_of_the_sampled_curve_for_every_shape() {
 }
 
 #[test]
+fn joint_of_two_pieces_is_one_row() {
+    // Straight along -z; the ball's nearest point is exactly the node between elements 6 and 7.
+    let (geometry, r, t) = bent_arm(&mut Xoshiro256PlusPlus::seed_from_u64(0), 0.0);
+    let at = Isometry3::from_parts(Translation3::from(r[7] + V::y() * 0.2), UnitQuaternion::identity());
+    let obstacles = one(shape(&ShapeConfig::Ball { radius_m: 0.1 }), &at);
+    let mut body = Body::new(&geometry, BodyModel::Arm, 0.0);
+    let found = body.find(&r, &t, &obstacles, 0.3);
+    let here = found.rows.iter().filter(|w| (w.position - r[7]).norm() < 1e-6).count();
+    assert_eq!(here, 1, "{:?}", found.rows);
+    assert!((found.minimum - 0.1).abs() < 1e-12 && (found.rows[0].position - r[7]).norm() < 1e-6);
+}
+
+#[test]
 fn arc_around_a_ball_is_bounded_in_work_and_right() {
     // An arc concentric to the ball is nearly parallel to it everywhere: every point is almost the closest.
     let geometry = BodyGeometry { elements: vec![ElementGeometry { length_m: 0.13, connector_m: 0.0 }; 6] };
