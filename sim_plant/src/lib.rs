@@ -1,1 +1,3 @@
 //! The simulated arm and its drives.
+
+pub mod config;
