@@ -116,7 +116,7 @@ fn files_from_disk_are_named_by_their_paths() {
     let drives = directory.path().join("drives.toml");
     std::fs::write(&drives, shipped("drives.toml")).unwrap();
     let place = format!("{}:{}:10", arm.display(), line_of("arm.toml", "cables = 6"));
-    expect(Config::load(&[arm, drives]), &[&place, "`arm.segments[0].cables` = 2", "integer 3 to 12"]);
+    expect(Config::load(&[arm, drives]), &[&place, "`arm.segment_defaults.cables` = 2", "integer 3 to 12"]);
     let missing = directory.path().join("nowhere.toml");
     expect(Config::load(&[missing]), &["cannot read", "nowhere.toml"]);
 }
@@ -247,7 +247,7 @@ fn a_missing_key_is_named_at_its_table() {
     let place = format!("arm.toml:{}:", line_of("arm.toml", "segment_defaults"));
     expect(
         changed("arm.toml", "length_m = 0.65\n", ""),
-        &[&place, "`arm.segments[0].length_m` is missing", "> 0 and <= 10 m"],
+        &[&place, "`arm.segment_defaults.length_m` is missing", "> 0 and <= 10 m"],
     );
 }
 
@@ -356,7 +356,6 @@ fn a_node_id_is_free_on_another_bus() {
 
 #[test]
 fn node_ids_beyond_canopens_are_refused() {
-    refuse("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\nfirst_node_id = 110", &[]);
     let error = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\nfirst_node_id = 110");
     expect(error, &["would get node id 128", "1 to 127"]);
 }
@@ -387,7 +386,6 @@ fn two_buses_on_one_interface_are_refused() {
 
 #[test]
 fn a_data_bit_rate_without_fd_does_not_apply() {
-    refuse("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\ndata_bitrate_bps = 2000000", &[]);
     let result = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\ndata_bitrate_bps = 2000000");
     expect(result, &["`drives.buses[0].data_bitrate_bps` = 2000000 does not apply here"]);
 }
@@ -440,7 +438,6 @@ fn times_that_contradict_each_other_are_refused() {
         "encoder_silent_s = 0.01",
         &["0.02 s (two periods of the loop)"],
     );
-    refuse("controller.toml", "lookahead_s = 0.1", "lookahead_s = 0.1\nbudget_s = 0.01", &[]);
     let late = changed("controller.toml", "lookahead_s = 0.1", "lookahead_s = 0.1\nbudget_s = 0.01");
     expect(late, &["`planner.budget_s` = 0.01", "more than the period leaves", "<= 0.0098 s"]);
 }
@@ -586,7 +583,6 @@ fn a_scenarios_mistakes_are_refused() {
         &["`obstacles[0].radius_m` = -0.1", "> 0 and <= 1000 m"],
     );
     refuse_scenario("tip", "id = \"2\"", "id = \"1\"", &["`obstacles[1].id` = \"1\"", "different for every obstacle"]);
-    refuse_scenario("tip", "position_m = [0.45", "half_extents_m = [1, 1, 1]\nposition_m = [0.45", &[]);
     refuse_scenario(
         "tip",
         "weight_tension_change = [1e4, ",
@@ -672,7 +668,7 @@ position_m = [2, 0, 0]
     let flat = text.replace("[0, 0, 1]]", "[1, 1, 0]]");
     expect(
         ScenarioConfig::parse("all.toml", &flat),
-        &["all.toml:39:", "`obstacles[3].points_m`", "all points lie in one plane"],
+        &["all.toml:40:", "`obstacles[3].points_m`", "all points lie in one plane"],
     );
     let falling = text.replace("time_s = 5", "time_s = 0");
     expect(
