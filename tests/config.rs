@@ -617,6 +617,15 @@ fn a_scenarios_mistakes_are_refused() {
 }
 
 #[test]
+fn a_key_of_another_shape_does_not_apply() {
+    let text = SCENARIOS[0].1.replacen("position_m = [0.45", "half_extents_m = [1, 1, 1]\nposition_m = [0.45", 1);
+    expect(
+        ScenarioConfig::parse("mine.toml", &text),
+        &["`obstacles[0].half_extents_m` = [1, 1, 1] does not apply here"],
+    );
+}
+
+#[test]
 fn every_shape_and_motion_can_be_written() {
     let text = r#"
 name = "all"

@@ -256,9 +256,18 @@ mod tests {
         }
     }
 
+    /// `SINEW_WRITE_REFERENCE=1 cargo test -p sim_plant config_readme` rewrites the page after a key has changed.
     #[test]
     fn config_readme_documents_the_plant_as_the_registry_has_it() {
-        let readme = include_str!("../../config/README.md");
-        assert!(readme.contains(&PLANT.markdown()), "config/README.md must hold, for [plant]:\n{}", PLANT.markdown());
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/README.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let (before, rest) = page.split_once("<!-- begin plant -->\n").unwrap();
+        let (found, after) = rest.split_once("<!-- end plant -->").unwrap();
+        let wanted = format!("\n{}", PLANT.markdown());
+        if std::env::var_os("SINEW_WRITE_REFERENCE").is_some() {
+            std::fs::write(path, format!("{before}<!-- begin plant -->\n{wanted}<!-- end plant -->{after}")).unwrap();
+            return;
+        }
+        assert_eq!(found, wanted, "config/README.md differs from the registry");
     }
 }
