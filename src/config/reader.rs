@@ -238,6 +238,14 @@ struct Value<'s> {
     value: &'s DeValue<'s>,
     text: &'s str,
     place: Option<Place>,
+    /// Path of the table that it stands in: this one's, or the one's behind it.
+    owner: &'s str,
+}
+
+impl Value<'_> {
+    fn path_of(&self, name: &str) -> String {
+        join(self.owner, name)
+    }
 }
 
 impl<'d> Section<'d> {
@@ -267,7 +275,7 @@ impl<'d> Section<'d> {
 
     /// The whole path of a key, for messages.
     pub fn path_of(&self, name: &str) -> String {
-        if self.path.is_empty() { name.to_owned() } else { format!("{}.{name}", self.path) }
+        join(&self.path, name)
     }
 
     /// True if no problem has been noted in the whole document.
@@ -305,10 +313,28 @@ impl<'d> Section<'d> {
 
     /// Notes a problem at a key that the registry's range cannot express.
     pub fn refuse(&self, name: &str, message: impl std::fmt::Display, help: &str) {
-        let place = self.place_of(name);
-        let found = self.text_of(name);
-        let found = if found.is_empty() { String::new() } else { format!(" = {found}") };
-        self.push(place, format!("`{}`{found}: {message}", self.path_of(name)), "refused".into(), help.into());
+        if !self.has_own(name)
+            && let Some(fallback) = self.fallback.as_ref().filter(|fallback| fallback.has(name) || !self.is_present())
+        {
+            return fallback.refuse(name, message, help);
+        }
+        let value = self.found.as_ref().and_then(|found| Some((found, found.table.get(name)?)));
+        let is_tables = |value: &DeValue<'_>| match value {
+            DeValue::Table(_) => true,
+            DeValue::Array(array) => array.iter().any(|entry| entry.get_ref().is_table()),
+            _ => false,
+        };
+        let text = match value {
+            Some((found, value)) if !is_tables(value.get_ref()) => {
+                format!(" = {}", shorten(self.value_in(found, value).text))
+            }
+            _ => String::new(),
+        };
+        let place = self.found.as_ref().map(|found| Place {
+            file: found.file.clone(),
+            span: value.map_or(found.span.clone(), |(_, value)| value.span()),
+        });
+        self.push(place, format!("`{}`{text}: {message}", self.path_of(name)), "refused".into(), help.into());
     }
 
     /// A number.
@@ -399,7 +425,7 @@ impl<'d> Section<'d> {
                 None => {
                     self.push(
                         found.place.clone(),
-                        format!("`{}` = {} is not a permitted value", self.path_of(key.name), found.text),
+                        format!("`{}` = {} is not a permitted value", found.path_of(key.name), found.text),
                         "found".into(),
                         suggestion(text, names.iter().copied(), "values"),
                     );
@@ -553,11 +579,12 @@ impl<'d> Section<'d> {
         key
     }
 
-    fn value_in<'s>(&self, found: &Found<'s>, value: &'s Spanned<DeValue<'s>>) -> Value<'s> {
+    fn value_in<'s>(&'s self, found: &Found<'s>, value: &'s Spanned<DeValue<'s>>) -> Value<'s> {
         Value {
             value: value.get_ref(),
             text: found.file.inner().get(value.span()).unwrap_or(""),
             place: Some(Place { file: found.file.clone(), span: value.span() }),
+            owner: &self.path,
         }
     }
 
@@ -577,7 +604,7 @@ impl<'d> Section<'d> {
         match key.presence {
             Presence::Optional(_) => None,
             Presence::Default(text) => match DeValue::parse(text) {
-                Ok(value) => check(key, Value { value: value.get_ref(), text, place: None }),
+                Ok(value) => check(key, Value { value: value.get_ref(), text, place: None, owner: &self.path }),
                 Err(_) => self.misread(key),
             },
             Presence::Required => {
@@ -602,27 +629,6 @@ impl<'d> Section<'d> {
         Some(values)
     }
 
-    fn place_of(&self, name: &str) -> Option<Place> {
-        if let Some(found) = &self.found {
-            if let Some(value) = found.table.get(name) {
-                return Some(Place { file: found.file.clone(), span: value.span() });
-            }
-            if !self.fallback.as_ref().is_some_and(|fallback| fallback.has(name)) {
-                return Some(Place { file: found.file.clone(), span: found.span.clone() });
-            }
-        }
-        self.fallback.as_ref().and_then(|fallback| fallback.place_of(name))
-    }
-
-    fn text_of(&self, name: &str) -> String {
-        match &self.found {
-            Some(found) if found.table.contains_key(name) => {
-                found.table.get(name).map_or(String::new(), |value| shorten(self.value_in(found, value).text))
-            }
-            _ => self.fallback.as_ref().map_or(String::new(), |fallback| fallback.text_of(name)),
-        }
-    }
-
     fn push(&self, place: Option<Place>, message: String, label: String, help: String) {
         let mut problems = self.document.problems.borrow_mut();
         let problem = Problem { place, message, label, help };
@@ -638,18 +644,18 @@ impl<'d> Section<'d> {
     }
 
     fn missing(&self, key: &Key) {
-        // A table that is missing altogether has been reported as such.
-        let place = match (&self.found, self.fallback.as_ref().and_then(|fallback| fallback.found.as_ref())) {
-            (Some(found), _) | (None, Some(found)) => Place { file: found.file.clone(), span: found.span.clone() },
-            (None, None) if self.document.is_clean() => {
-                let message = format!("`{}` is missing", self.path_of(key.name));
-                self.push(None, message, String::new(), format!("permitted: {}; {}", key.permitted(), key.meaning));
-                return;
-            }
-            (None, None) => return,
-        };
+        if self.found.is_none()
+            && let Some(fallback) = self.fallback.as_ref().filter(|fallback| fallback.is_present())
+        {
+            return fallback.missing(key);
+        }
+        // Inside a table that is missing altogether, which has been reported as such.
+        if self.found.is_none() && !self.document.is_clean() {
+            return;
+        }
+        let place = self.found.as_ref().map(|found| Place { file: found.file.clone(), span: found.span.clone() });
         self.push(
-            Some(place),
+            place,
             format!("`{}` is missing", self.path_of(key.name)),
             format!("needs `{}`", key.name),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
@@ -659,7 +665,7 @@ impl<'d> Section<'d> {
     fn wrong_type<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} is of the wrong type", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} is of the wrong type", found.path_of(key.name), shorten(found.text)),
             format!("found {}", found.value.type_str()),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -669,7 +675,7 @@ impl<'d> Section<'d> {
     fn out_of_range<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} is outside its range", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} is outside its range", found.path_of(key.name), shorten(found.text)),
             "out of range".into(),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -685,7 +691,7 @@ impl<'d> Section<'d> {
         let text = place.as_ref().and_then(|place| place.file.inner().get(place.span.clone())).unwrap_or(found.text);
         self.push(
             place.clone(),
-            format!("`{}[{index}]` = {} is outside its range", self.path_of(key.name), shorten(text)),
+            format!("`{}[{index}]` = {} is outside its range", found.path_of(key.name), shorten(text)),
             "out of range".into(),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -695,7 +701,7 @@ impl<'d> Section<'d> {
     fn wrong_length<T>(&self, key: &Key, found: &Value<'_>, entries: usize, length: Length) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} has {entries} entries, not {length}", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} has {entries} entries, not {length}", found.path_of(key.name), shorten(found.text)),
             format!("{entries} entries"),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -737,6 +743,10 @@ impl Drop for Section<'_> {
             }
         }
     }
+}
+
+fn join(path: &str, name: &str) -> String {
+    if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
 
 fn number(value: &DeValue<'_>) -> Option<f64> {
