@@ -369,7 +369,8 @@ mod tests {
                     .unwrap()
                     .join()
                     .unwrap();
-                assert!(touched <= wanted.min(stack));
+                // The C library may reuse a larger stack than asked for; going beyond its end would end the test process.
+                assert!(touched <= wanted);
                 if wanted >= stack {
                     assert!(touched * 10 >= (stack - STACK_RESERVE) * 8, "{touched} of {stack}");
                 }

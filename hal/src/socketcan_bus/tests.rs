@@ -189,6 +189,15 @@ fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
 }
 
 #[test]
+fn what_arrived_before_the_link_was_lost_is_delivered_first() {
+    let (mut bus, wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
+    put(&wire, &frame(1));
+    bus.lose_link();
+    assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(1));
+    assert_eq!(bus.receive(Duration::from_millis(1)), Err(ReceiveError::Bus(BusState::Down)));
+}
+
+#[test]
 fn with_restart_never_a_lost_link_stays_lost() {
     MAY_RECONNECT.set(true);
     let (mut bus, _wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
@@ -245,7 +254,7 @@ fn every_refusal_of_the_kernel_has_a_reason_of_its_own() {
 #[test]
 fn sockets_are_not_inherited_by_children() {
     let (bus, _wire) = bus(&spec(1));
-    let fd = bus.socket.as_ref().unwrap().as_raw_fd();
+    let fd = bus.socket.as_raw_fd();
     // SAFETY: a plain query of a live descriptor.
     assert_ne!(unsafe { libc::fcntl(fd, libc::F_GETFD) } & libc::FD_CLOEXEC, 0);
 }
