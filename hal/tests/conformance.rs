@@ -4,6 +4,8 @@
 //! (`ip link add vcan0 type vcan; ip link set vcan0 mtu 72 up`) and that nobody else uses; loss of the link in addition
 //! where the test may take that interface down.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a helper that fails is a test that fails
+
 use std::collections::BTreeMap;
 use std::process::Command;
 use std::sync::{Mutex, MutexGuard, PoisonError};

@@ -1,5 +1,7 @@
 //! After `open`, sending and receiving allocate nothing: a counting allocator watches the test's thread.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a helper that fails is a test that fails
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;

@@ -101,20 +101,20 @@ fn a_full_transmit_queue_is_bridged_in_order_and_then_refused() {
 #[test]
 fn waiting_frames_go_out_while_a_receive_waits() {
     let (mut bus, wire) = bus(&spec(3));
+    let mut sent = 0;
     while bus.queued() < 3 {
         bus.send(&frame(0)).unwrap();
+        sent += 1;
     }
     let far = std::thread::spawn(move || {
         std::thread::sleep(Duration::from_millis(5));
-        drain(&wire);
-        // Only now is there room for the queue; its first frame is the sign to answer.
-        loop {
-            if !drain(&wire).is_empty() {
-                put(&wire, &frame(42));
-                return;
-            }
+        // Only when all are there, those that waited too, comes the answer.
+        let mut arrived = 0;
+        while arrived < sent {
+            arrived += drain(&wire).len();
             std::thread::yield_now();
         }
+        put(&wire, &frame(42));
     });
     assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(42));
     far.join().unwrap();

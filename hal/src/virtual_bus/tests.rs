@@ -109,7 +109,7 @@ fn every_ticket_is_received_lost_or_abandoned_and_no_frame_is_ever_mixed() {
                     let before = last[id as usize].replace(words[0]);
                     assert!(before.is_none_or(|b| b < words[0]), "{before:?} then {}", words[0]);
                     ended += u32::from(words[0] == EACH - 1);
-                    if pause_ms > 0 && words[0] % 1000 == 0 {
+                    if pause_ms > 0 && words[0].is_multiple_of(1000) {
                         std::thread::sleep(Duration::from_millis(pause_ms));
                     }
                 }
