@@ -1,4 +1,4 @@
 //! The simulated arm and its drives.
 
-pub mod drive;
 pub mod config;
+pub mod drive;

@@ -183,10 +183,16 @@ impl Collector {
     }
 
     /// The summary so far; `fixed_iterations` where convergence is not asked for.
-    pub fn summary(&self, scenario: &str, seed: u64, period_s: f64, lookahead_s: f64, fixed_iterations: bool) -> Summary {
-        let count = |(steps, sum, max): (u64, u64, u64)| {
-            (steps > 0).then(|| Count { mean: sum as f64 / steps as f64, max })
-        };
+    pub fn summary(
+        &self,
+        scenario: &str,
+        seed: u64,
+        period_s: f64,
+        lookahead_s: f64,
+        fixed_iterations: bool,
+    ) -> Summary {
+        let count =
+            |(steps, sum, max): (u64, u64, u64)| (steps > 0).then(|| Count { mean: sum as f64 / steps as f64, max });
         let approach = |t: &Track| Approach {
             surface_distance_min_m: t.minimum,
             at_s: round_time(t.at),
@@ -230,9 +236,10 @@ impl Collector {
     }
 }
 
-/// Microseconds as tenths of a nanosecond's worth of integer: histograms count whole nanoseconds.
+/// Histograms count whole nanoseconds.
 fn record(histogram: &mut Histogram<u64>, us: f64) {
-    histogram.saturating_record((us * 1e3).max(1.0) as u64);
+    // An auto-resizing histogram takes every value; `saturating_record` would clamp to its present size.
+    let _ = histogram.record((us * 1e3).max(1.0) as u64);
 }
 
 fn percentiles(histogram: &Histogram<u64>) -> Option<Percentiles> {

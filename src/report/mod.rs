@@ -9,7 +9,7 @@ mod table;
 
 pub use collect::{Collector, Tick, tip_error};
 pub use summary::{
-    Approach, Count, Interval, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Tensions,
-    Times, TipError,
+    Approach, Count, Interval, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Tensions, Times,
+    TipError,
 };
-pub use table::{figures_table, summary_table};
+pub use table::{figures_table, plain_table, summary_table};

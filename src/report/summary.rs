@@ -120,7 +120,6 @@ pub struct TipError {
     pub norm_mean: f64,
 }
 
-
 /// Computing times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Times {

@@ -5,7 +5,8 @@ use crate::config::PublishedFigure;
 use comfy_table::{ContentArrangement, Table, presets};
 use serde_json::Value;
 
-fn table(header: &[&str]) -> Table {
+/// An empty table with a header, in the style of all reports.
+pub fn plain_table(header: &[&str]) -> Table {
     let mut t = Table::new();
     t.load_style(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic);
     t.set_header(header.iter().copied());
@@ -14,14 +15,13 @@ fn table(header: &[&str]) -> Table {
 
 /// What the run achieved, in lines of name and value.
 pub fn summary_table(s: &Summary) -> String {
-    let mut t = table(&["quantity", "value"]);
+    let mut t = plain_table(&["quantity", "value"]);
     let mut row = |name: &str, value: String| {
         t.add_row([name.to_owned(), value]);
     };
     let count = |c: Option<Count>| c.map_or("-".into(), |c| format!("{:.2} mean, {} max", c.mean, c.max));
-    let time = |p: Option<Percentiles>| {
-        p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max))
-    };
+    let time =
+        |p: Option<Percentiles>| p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max));
     row("steps", format!("{} of {} s, lookahead {} s, seed {}", s.ticks, s.period_s, s.lookahead_s, s.seed));
     if let Some(n) = s.not_converged {
         row("steps not converged", n.to_string());
@@ -76,7 +76,7 @@ pub fn figures_table(figures: &[PublishedFigure], summary: &Summary) -> String {
         return String::new();
     }
     let json = serde_json::to_value(summary).unwrap_or(Value::Null);
-    let mut t = table(&["quantity", "paper", "reference", "this run"]);
+    let mut t = plain_table(&["quantity", "paper", "reference", "this run"]);
     for f in figures {
         t.add_row([f.quantity.clone(), f.paper.clone(), f.reference.clone(), show(&json, &f.field)]);
     }
