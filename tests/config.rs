@@ -1,5 +1,8 @@
 //! The configuration refuses what it must, in words that help, and accepts what is shipped.
 
+// A test that cannot go on fails; the exemption of the lints covers test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
 use sinew::config::schema::{Kind, Presence, TableSpec};
 use sinew::config::{
     ArmConfig, BUILTIN_FILES, ChordRule, Config, ConfigError, Motion, PayloadConfig, Routing, SCENARIOS,
@@ -498,6 +501,7 @@ fn the_tip_scenario_is_the_papers() {
     assert_eq!(tip.weight_tension_change, [1e4, 2e4, 3e4, 4e4]);
     assert_eq!(tip.planner.swarm.penalty, 1e12);
     assert_eq!(tip.planner.warning_distance_m, 0.01);
+    assert_eq!(tip.planner.lead_s, Some(0.0), "the paper has no lead");
     assert!(tip.planner.barrier.is_none() && tip.planner.avoidance && tip.planner.clearance_m == 0.0);
     let Task::Tip {
         path: TipPath::Lemniscate { scale_m, height_m, duration_s, .. },

@@ -1,5 +1,8 @@
 //! Conventions that a machine can watch over: imports, the home of unsafe, and the reference of configuration keys.
 
+// A test that cannot go on fails; the exemption of the lints covers test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
 use sinew::config::schema::{Key, Presence, TableSpec};
 use sinew::config::{SCENARIO, TABLES};
 use std::collections::BTreeSet;
