@@ -1,5 +1,8 @@
 //! The configuration refuses what it must, in words that help, and accepts what is shipped.
 
+// A test that cannot go on fails; the exemption of the lints covers test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
 use sinew::config::schema::{Kind, Presence, TableSpec};
 use sinew::config::{
     ArmConfig, BUILTIN_FILES, ChordRule, Config, ConfigError, Motion, PayloadConfig, Routing, SCENARIOS,
@@ -498,6 +501,7 @@ fn the_tip_scenario_is_the_papers() {
     assert_eq!(tip.weight_tension_change, [1e4, 2e4, 3e4, 4e4]);
     assert_eq!(tip.planner.swarm.penalty, 1e12);
     assert_eq!(tip.planner.warning_distance_m, 0.01);
+    assert_eq!(tip.planner.lead_s, Some(0.0), "the paper has no lead");
     assert!(tip.planner.barrier.is_none() && tip.planner.avoidance && tip.planner.clearance_m == 0.0);
     let Task::Tip {
         path: TipPath::Lemniscate { scale_m, height_m, duration_s, .. },
@@ -693,4 +697,40 @@ fn a_tip_scenario_cannot_start_under_tensions_outside_the_box() {
     let mut text = SCENARIOS[0].1.to_owned();
     text.replace_range(from..end, &format!("kind = \"tensions\"\ntensions_n = [{}230]", "0, ".repeat(23)));
     expect(ScenarioConfig::parse("mine.toml", &text), &["`start.tensions_n`", "0 to 220 N each"]);
+}
+
+/// What hands and editors do to a file: a piece cut out, or replaced by something else.
+fn spoiled(text: &str, from: f64, length: usize, put: &str) -> String {
+    let characters: Vec<char> = text.chars().collect();
+    let start = ((characters.len() as f64 * from) as usize).min(characters.len());
+    let end = (start + length).min(characters.len());
+    characters[..start].iter().copied().chain(put.chars()).chain(characters[end..].iter().copied()).collect()
+}
+
+proptest::proptest! {
+    #[test]
+    fn a_spoiled_file_is_read_or_refused_with_places_inside_it(
+        file in 0..4usize,
+        from in 0.0..1.0f64,
+        length in 0..40usize,
+        put in "(|-|nan|1e999|0x7fffffffffffffffffff|\\[\\[|\\]|\"|[ -~]{0,8}|\\PC{0,4})",
+    ) {
+        let mut texts = files(&["arm.toml", "controller.toml", "drives-4-buses.toml"]);
+        let scenario = file == 3;
+        let text = if scenario { SCENARIOS[0].1 } else { texts[file].1.as_str() };
+        let text = spoiled(text, from, length, &put);
+        let error = if scenario {
+            ScenarioConfig::parse("spoiled.toml", &text).err()
+        } else {
+            texts[file].1 = text;
+            Config::parse(texts).err()
+        };
+        if let Some(error) = error {
+            proptest::prop_assert!(!error.problems.is_empty());
+            proptest::prop_assert!(!error.report().is_empty());
+            for place in error.problems.iter().filter_map(|problem| problem.place.as_ref()) {
+                proptest::prop_assert!(place.span.end <= place.file.inner().len());
+            }
+        }
+    }
 }

@@ -11,6 +11,7 @@ mod arm;
 mod arm_file;
 mod builtin;
 mod check;
+mod document;
 mod drives;
 pub mod error;
 mod guard;
