@@ -43,6 +43,16 @@ impl Isolated {
     }
 }
 
+impl Drop for Isolated {
+    fn drop(&mut self) {
+        // Processes that the test killed could not clean up behind themselves; whoever comes last does.
+        self.domain.sweep();
+        if !std::thread::panicking() {
+            assert_eq!(self.leftovers(), Vec::<PathBuf>::new());
+        }
+    }
+}
+
 fn files_below(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     entries.flatten().flat_map(|e| if e.path().is_dir() { files_below(&e.path()) } else { vec![e.path()] }).collect()

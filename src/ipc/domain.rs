@@ -67,19 +67,23 @@ impl Domain {
         Ok(config)
     }
 
-    /// Removes what iceoryx2 leaves when its last node is gone: a counter of 16 bytes per prefix. Does nothing while any
-    /// node of the domain exists.
+    /// Removes what iceoryx2 leaves when its last node is gone: what killed processes could not remove, and a counter of 16
+    /// bytes per prefix. The counter stays while any node of the domain lives.
     ///
     /// A process that starts in the same instant keeps the counter that it has opened; node ids stay unique because they
     /// hold the process id and the time too.
     pub fn sweep(&self) {
         let Ok(config) = self.config() else { return };
-        let mut nodes = 0;
-        let listed = Node::<Ipc>::list(&config, |_| {
-            nodes += 1;
-            CallbackProgression::Stop
+        let mut in_use = false;
+        let listed = Node::<Ipc>::list(&config, |node| {
+            let gone = match node {
+                NodeState::Dead(dead) => dead.try_remove_stale_resources().is_ok(),
+                _ => false,
+            };
+            in_use |= !gone;
+            if in_use { CallbackProgression::Stop } else { CallbackProgression::Continue }
         });
-        if listed.is_err() || nodes > 0 {
+        if listed.is_err() || in_use {
             return;
         }
         for directory in [FsPath::new("/dev/shm"), self.root.as_path()] {
