@@ -1,4 +1,6 @@
 //! Claims about recordings.
+// The lint's exception for tests does not reach the helpers of an integration test.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use sinew::ipc::payload::{Header, Obstacle, Obstacles, SourceReport, State, Target, TargetMode};
 use sinew::ipc::{Event, Tap};

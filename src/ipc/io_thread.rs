@@ -55,6 +55,25 @@ pub trait Tap: Send {
 /// A tap that looks at nothing.
 impl Tap for () {}
 
+/// A tap that may be absent: recording is a choice of the configuration.
+impl<T: Tap> Tap for Option<T> {
+    fn state(&mut self, state: &State) {
+        self.iter_mut().for_each(|tap| tap.state(state));
+    }
+
+    fn obstacles(&mut self, obstacles: &Obstacles) {
+        self.iter_mut().for_each(|tap| tap.obstacles(obstacles));
+    }
+
+    fn target(&mut self, target: &Target) {
+        self.iter_mut().for_each(|tap| tap.target(target));
+    }
+
+    fn event(&mut self, event: &Event) {
+        self.iter_mut().for_each(|tap| tap.event(event));
+    }
+}
+
 /// How long the control thread may take over an answer.
 const ANSWER_NS_MAX: u64 = 1_000_000_000;
 /// Requests that may wait for an answer at once.
@@ -74,6 +93,7 @@ pub struct IoThread<T: Tap = ()> {
     open: Vec<(Command, u64, OpenRequest)>,
     next_ticket: u64,
     last: (u32, u32, u32),
+    port_errors: u64,
     tap: T,
 }
 
@@ -85,27 +105,23 @@ impl<T: Tap> IoThread<T> {
         let encoders = ends.encoders.input_buffer_mut().clone();
         let open = Vec::with_capacity(OPEN_REQUESTS_MAX);
         let last = (SupervisorState::Disarmed.wire(), 0, 0);
-        Self { ports, ends, limits, obstacles, target, encoders, open, next_ticket: 0, last, tap }
+        Self { ports, ends, limits, obstacles, target, encoders, open, next_ticket: 0, last, port_errors: 0, tap }
     }
 
     /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.
-    ///
-    /// # Errors
-    /// What iceoryx2 reports; the control thread's fallback on missing inputs covers that case.
-    pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) -> Result<(), IpcError> {
+    pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) {
         while !stop.load(Ordering::Acquire) {
-            if self.poll(now())? == 0 {
+            if self.poll(now()) == 0 {
                 match pace {
                     Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
                     Pace::Lockstep => std::thread::yield_now(),
                 }
             }
         }
-        self.poll(now())?;
-        for (command, _, request) in self.open.drain(..).collect::<Vec<_>>() {
-            self.answer(&request, Reply::refused(&command, SupervisorState::Disarmed, RefusalReason::ShuttingDown));
+        self.poll(now());
+        for (command, _, request) in std::mem::take(&mut self.open) {
+            self.answer(&request, self.refusal(&command, RefusalReason::ShuttingDown));
         }
-        Ok(())
     }
 
     /// One pass, never blocking. Returns how many messages were moved.
@@ -113,10 +129,23 @@ impl<T: Tap> IoThread<T> {
     /// Order: outputs first, so that a lockstep client sees tick k before its inputs for k + 1 are looked for; encoders
     /// last, so that a tick that they release finds the obstacles and targets that were sent before them.
     ///
-    /// # Errors
-    /// What iceoryx2 reports.
-    pub fn poll(&mut self, now_ns: u64) -> Result<usize, IpcError> {
-        Ok(self.move_records()? + self.move_requests(now_ns)? + self.move_inputs(now_ns)?)
+    /// A port that fails is tried again in the next pass: a client that dies while it connects must not end this thread,
+    /// and inputs that stay away are noticed by their age. Failures are logged at the 1st, 2nd, 4th, 8th ... one.
+    pub fn poll(&mut self, now_ns: u64) -> usize {
+        let results = [self.move_records(), self.move_requests(now_ns), self.move_inputs(now_ns)];
+        let mut moved = 0;
+        for result in results {
+            match result {
+                Ok(count) => moved += count,
+                Err(error) => {
+                    self.port_errors += 1;
+                    if self.port_errors.is_power_of_two() {
+                        tracing::warn!(%error, failures = self.port_errors, "shared memory");
+                    }
+                }
+            }
+        }
+        moved
     }
 
     fn move_records(&mut self) -> Result<usize, IpcError> {
@@ -125,8 +154,8 @@ impl<T: Tap> IoThread<T> {
             && let Ok(state) = self.ends.records.pop()
         {
             self.last = (state.supervisor, state.fault_code, state.fault_detail);
-            self.ports.publish_state(&state)?;
             self.tap.state(&state);
+            self.ports.publish_state(&state)?;
             moved += 1;
         }
         while moved < 2 * MOVED_PER_PASS

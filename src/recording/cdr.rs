@@ -13,7 +13,7 @@ pub(super) trait Sink: Sized {
     fn integers(&mut self, name: &str, values: &[u64]);
     /// Sequence of messages of another type.
     fn messages<T: Fields>(&mut self, name: &str, values: &[T]);
-    /// Sequence of points.
+    /// One message of another type.
     fn message<T: Fields>(&mut self, name: &str, value: &T);
     /// Names of a code's numbers; only schemas carry them.
     fn constants(&mut self, _prefix: &str, _names: &[(&str, u32)]) {}

@@ -4,8 +4,8 @@
 //! packages of Python, C++ and Go read as it is. Never on the control thread; a full queue drops and counts.
 //!
 //! Messages are CDR with `ros2msg` schemas. Of the self-describing encodings that those tools decode without plug-ins it
-//! is the compact one with arrays of numbers (JSON takes four times the space and twenty times the time; protobuf and
-//! flatbuffers need generated code and a compiled descriptor), and nothing of ROS is needed to write or read it.
+//! is the compact one with arrays of numbers that needs neither generated code nor a compiled descriptor (protobuf and
+//! flatbuffers do; JSON writes numbers as text), and nothing of ROS is needed to write or read it.
 //! Sequences hold what is in use: the paper's arm takes 3 kB per tick where the payload in shared memory takes 15 kB.
 //!
 //! A file cut short by a crash or a full disk stays readable up to its last complete chunk (a chunk ends after 256 kB or

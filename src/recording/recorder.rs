@@ -190,7 +190,7 @@ impl Recorder {
 
     fn push<T: Fields>(&self, channel: Channel, time_ns: u64, message: &T) {
         let packet = Packet { channel, time_ns: time_ns.saturating_add(self.offset_ns), data: encode(message) };
-        if !self.queue.as_ref().is_some_and(|q| q.try_send(packet).is_ok()) {
+        if self.queue.as_ref().is_none_or(|q| q.try_send(packet).is_err()) {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
