@@ -13,6 +13,7 @@ import argparse
 import ctypes
 import math
 import os
+import signal
 import sys
 import time
 
@@ -87,6 +88,8 @@ def open_publisher(arm: str):
     node = (
         iox2.NodeBuilder.new()
         .name(iox2.NodeName.new("sinew python client"))
+        # Signals stay Python's, so that Ctrl-C raises KeyboardInterrupt.
+        .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
         .config(domain_config())
         .create(iox2.ServiceType.Ipc)
     )
@@ -124,6 +127,7 @@ def main() -> None:
     variance = arguments.sigma**2
     ball.covariance_m2[:] = [variance, 0.0, 0.0, variance, 0.0, variance]
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     start = time.monotonic()
     rate = 2.0 * math.pi / arguments.period
     print(f"publishing sinew/{arguments.arm}/obstacles as source {arguments.source}", flush=True)

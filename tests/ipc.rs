@@ -156,6 +156,11 @@ impl Drop for Running {
     }
 }
 
+fn terminate(process: &Running) {
+    let status = Command::new("kill").args(["-TERM", &process.0.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
 fn spawn_rust_client(domain: &Domain, source: u32, rate: f64) -> Running {
     let mut command = Command::new(example("obstacle_client"));
     command.args(["--arm", ARM, "--source", &source.to_string(), "--rate", &rate.to_string()]);
@@ -362,9 +367,28 @@ fn a_client_that_ends_in_order_is_not_missed() {
     let mut daemon = Daemon::start(&isolated.domain, Pace::default());
     let client = spawn_rust_client(&isolated.domain, 7, 200.0);
     daemon.until("the client", |i| Daemon::sources(i) == [7]);
-    let status = Command::new("kill").args(["-TERM", &client.0.id().to_string()]).status().unwrap();
-    assert!(status.success());
+    terminate(&client);
     daemon.until("its farewell", |i| Daemon::sources(i).is_empty());
+    daemon.stop();
+}
+
+#[test]
+fn the_viewer_shows_the_records() {
+    let isolated = Isolated::new();
+    let mut daemon = Daemon::start(&isolated.domain, Pace::default());
+    let mut command = Command::new(example("state_viewer"));
+    command.args(["--arm", ARM, "--lines", "3", "--rate", "100"]).envs(isolated.domain.env());
+    let mut viewer = Running(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut state = State { supervisor: SupervisorState::Tracking.wire(), tip_error_m: 1.5e-3, ..State::default() };
+    let deadline = Instant::now() + WAIT;
+    while viewer.0.try_wait().unwrap().is_none() {
+        assert!(Instant::now() < deadline, "the viewer saw no three records");
+        daemon.outputs.record(&mut state);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let mut text = String::new();
+    std::io::Read::read_to_string(viewer.0.stdout.as_mut().unwrap(), &mut text).unwrap();
+    assert_eq!(text.lines().filter(|l| l.contains("tracking") && l.contains("1.50 mm")).count(), 3, "{text}");
     daemon.stop();
 }
 
@@ -459,6 +483,9 @@ fn rust_and_python_feed_a_daemon_at_the_same_time() {
     assert_eq!((ball.dimensions_m[0], ball.position_m[2]), (0.1, -1.68));
     let [x, y, _] = ball.position_m;
     assert!(((x - 0.40).hypot(y + 0.15) - 0.32).abs() < 1e-3);
-    drop((rust, python));
+    // Python leaves in order too.
+    terminate(&python);
+    daemon.until("the farewell of Python", |i| Daemon::sources(i) == [1]);
+    drop(rust);
     daemon.stop();
 }
