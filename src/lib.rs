@@ -9,5 +9,6 @@ pub mod ipc;
 pub mod math;
 pub mod model;
 pub mod planner;
+pub mod recording;
 pub mod report;
 pub mod scenario;

@@ -10,8 +10,21 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The library's modules, lowest first: a module imports from itself and from those before it only.
-const ORDER: &[&str] =
-    &["config", "math", "model", "integrator", "collision", "planner", "estimator", "control", "ipc", "daemon"];
+const ORDER: &[&str] = &[
+    "config",
+    "math",
+    "model",
+    "integrator",
+    "collision",
+    "planner",
+    "estimator",
+    "report",
+    "scenario",
+    "control",
+    "ipc",
+    "recording",
+    "daemon",
+];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

@@ -57,7 +57,9 @@ impl Obstacle {
 
 impl Default for Obstacle {
     fn default() -> Self {
-        Self { kind: 0, ..Self::ball(0, [0.0; 3], 0.0) }
+        // No kind: an entry that was forgotten is refused, not taken for a ball.
+        let nothing = Self::ball(0, [0.0; 3], 0.0);
+        Self { kind: 0, ..nothing }
     }
 }
 
