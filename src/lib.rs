@@ -2,4 +2,10 @@
 //!
 //! Data flows one way: `config` -> `model` -> `integrator` -> `planner` -> `control` -> `hal`.
 
+pub mod collision;
 pub mod config;
+pub mod integrator;
+pub mod ipc;
+pub mod math;
+pub mod model;
+pub mod planner;

@@ -160,6 +160,13 @@ pub enum BusState {
     Down,
 }
 
+impl BusState {
+    /// False when nothing can be sent or received: bus-off and down.
+    pub fn carries_frames(self) -> bool {
+        !matches!(self, Self::BusOff | Self::Down)
+    }
+}
+
 /// Why a frame was not sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum SendError {
@@ -204,6 +211,7 @@ pub struct BusCounters {
 }
 
 /// Receive filter: a standard frame passes when `id & mask == value & mask`; no filter at all passes everything.
+/// Several filters pass what any of them passes. No filter passes an extended frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Filter {
     /// Value compared.
@@ -212,10 +220,52 @@ pub struct Filter {
     pub mask: u32,
 }
 
+/// A set of [`Filter`]s worked out beforehand: one bit per standard identifier, so that a test is one look-up.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FilterSet {
+    /// `None` passes everything.
+    standard: Option<[u64; 32]>,
+}
+
+impl Default for FilterSet {
+    /// Passes everything.
+    fn default() -> Self {
+        Self { standard: None }
+    }
+}
+
+impl FilterSet {
+    /// The set of these filters. Does not allocate.
+    pub fn new(filters: &[Filter]) -> Self {
+        if filters.is_empty() {
+            return Self::default();
+        }
+        let mut bits = [0_u64; 32];
+        for id in 0..0x800_u32 {
+            if filters.iter().any(|f| id & f.mask & 0x7ff == f.value & f.mask & 0x7ff) {
+                bits[id as usize / 64] |= 1 << (id % 64);
+            }
+        }
+        Self { standard: Some(bits) }
+    }
+
+    /// Does a frame of this identifier pass?
+    pub fn passes(&self, id: Id) -> bool {
+        match (&self.standard, id) {
+            (None, _) => true,
+            (Some(bits), Id::Standard(id)) => {
+                bits.get(usize::from(id) / 64).is_some_and(|word| word >> (id % 64) & 1 == 1)
+            }
+            (Some(_), Id::Extended(_)) => false,
+        }
+    }
+}
+
 /// One handle on one CAN bus.
 ///
 /// A frame sent by one handle reaches every other handle of the same bus in the order of sending, and not the sender.
-/// After `open` (of a backend) no method allocates.
+/// A [`duplicate`](CanBus::duplicate) is another handle: it hears what the first one sends.
+/// After `open` (of a backend) no method but `duplicate` allocates.
 pub trait CanBus: Send {
     /// Hands a frame to the bus without blocking.
     ///
@@ -224,6 +274,10 @@ pub trait CanBus: Send {
     fn send(&mut self, frame: &Frame) -> Result<(), SendError>;
 
     /// Waits at most `timeout` for a frame; zero polls. `Ok(None)` when the time passed.
+    ///
+    /// Frames that arrived before the bus went down are delivered first. Then the first call reports the change at
+    /// once, and every further one waits its `timeout` for the bus to come back before it says so again: a loop of
+    /// receives does not spin on a dead bus.
     ///
     /// # Errors
     /// [`ReceiveError`].
@@ -246,4 +300,30 @@ pub trait CanBus: Send {
     /// # Errors
     /// Operating system error.
     fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>>;
+}
+
+impl<B: CanBus + ?Sized> CanBus for Box<B> {
+    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
+        (**self).send(frame)
+    }
+
+    fn receive(&mut self, timeout: std::time::Duration) -> Result<Option<Received>, ReceiveError> {
+        (**self).receive(timeout)
+    }
+
+    fn state(&self) -> BusState {
+        (**self).state()
+    }
+
+    fn counters(&self) -> BusCounters {
+        (**self).counters()
+    }
+
+    fn set_filters(&mut self, filters: &[Filter]) -> Result<(), ReceiveError> {
+        (**self).set_filters(filters)
+    }
+
+    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
+        (**self).duplicate()
+    }
 }

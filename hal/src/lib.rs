@@ -2,6 +2,13 @@
 //!
 //! Knows wires and nothing of arms. The only home of `unsafe`.
 
+pub mod bus_config;
 pub mod can;
 pub mod canopen;
 pub mod cia402;
+pub mod clock;
+pub mod fault_shim;
+pub mod load;
+pub mod realtime;
+pub mod socketcan_bus;
+pub mod virtual_bus;

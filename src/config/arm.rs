@@ -115,41 +115,4 @@ impl ArmConfig {
     pub fn cable_count(&self) -> usize {
         self.segments.iter().map(|s| s.hole_angles_rad.len()).sum()
     }
-
-    /// The arm of the paper's examples (design section 12), as `config/arm.toml` holds it.
-    pub fn paper() -> Self {
-        let segment = |last: bool| SegmentConfig {
-            length_m: 0.65,
-            elements: 5,
-            bending_stiffness_nm2: 7.0,
-            torsional_stiffness_nm2: 7.0 / 1.3,
-            damping_stiffness_s: 0.05,
-            disk_mass_kg: 0.3,
-            disk_radius_m: 0.055,
-            disk_thickness_m: 0.01,
-            backbone_mass_kgpm: 0.15,
-            backbone_radius_m: 0.004,
-            connector_length_m: if last { 0.0 } else { 0.05 },
-            connector_mass_kg: 0.0,
-            hole_radius_m: 0.05,
-            hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
-        };
-        let h = std::f64::consts::FRAC_1_SQRT_2;
-        Self {
-            name: "paper".into(),
-            base_position_m: [0.0; 3],
-            base_quaternion: [h, 0.0, h, 0.0],
-            gravity_mps2: [0.0; 3],
-            damping_mass_1ps: 0.0,
-            chord: ChordRule::Simpson,
-            strain: StrainRule::VectorPart,
-            routing: Routing::Local,
-            rho_inf: 0.8,
-            tension_n_min: 0.0,
-            tension_n_max: 220.0,
-            tension_rate_npsmax: f64::INFINITY,
-            segments: (0..4).map(|s| segment(s == 3)).collect(),
-            payload: PayloadConfig::default(),
-        }
-    }
 }

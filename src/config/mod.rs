@@ -2,11 +2,124 @@
 //!
 //! Enters: TOML files. Leaves: types whose every value is inside its documented range, or an error that shows file,
 //! line, key, value and range. It never starts anything, and nothing below it reads a file.
+//!
+//! Every key is registered once, in [`schema`] terms, beside the type that it fills; [`reader`] checks files against
+//! that registry and `config/README.md` is generated from it. `serde` only writes these types: a derived reader stops at
+//! the first mistake and cannot say what would be permitted.
 
 mod arm;
+mod arm_file;
+mod builtin;
+mod drives;
+pub mod error;
+mod guard;
+mod ipc;
+mod observer;
+mod obstacles;
 mod planner;
+mod planner_file;
+pub mod reader;
 mod scenario;
+pub mod schema;
+mod timing;
+mod weights;
 
 pub use arm::*;
+pub use arm_file::ARM;
+pub use drives::{BusConfig, BusKind, DRIVES, DriveConfig, DrivesConfig};
+pub use error::ConfigError;
+pub use guard::{GUARD, GuardConfig};
+pub use ipc::{IPC, IpcConfig};
+pub use observer::{OBSERVER, ObserverConfig, ObserverKind};
+pub use obstacles::{OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
+pub use planner_file::{PLANNER, SCENARIO_PLANNER};
 pub use scenario::*;
+pub use timing::{LOOP, LoopConfig};
+pub use weights::{ShapeWeights, TipWeights, WEIGHTS, WeightsConfig};
+
+use reader::Document;
+use schema::TableSpec;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Stands for the table of the simulated plant, which its own program reads: the daemon lets it pass, so that one set
+/// of files can be given to both.
+static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
+
+/// All top-level tables of the daemon's files.
+pub static TABLES: &[&TableSpec] = &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &GUARD, &OBSTACLES, &DRIVES, &IPC];
+
+/// What the daemon's files may hold.
+static KNOWN_TABLES: &[&TableSpec] =
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &GUARD, &OBSTACLES, &DRIVES, &IPC, &PLANT];
+
+/// Everything that the daemon needs to know.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Config {
+    /// `[arm]`.
+    pub arm: ArmConfig,
+    /// `[loop]`.
+    pub timing: LoopConfig,
+    /// `[planner]`; its period is the loop's.
+    pub planner: PlannerConfig,
+    /// `[weights]`.
+    pub weights: WeightsConfig,
+    /// `[observer]`.
+    pub observer: ObserverConfig,
+    /// `[guard]`.
+    pub guard: GuardConfig,
+    /// `[obstacles]`.
+    pub obstacles: ObstaclePolicyConfig,
+    /// `[drives]`.
+    pub drives: DrivesConfig,
+    /// `[ipc]`.
+    pub ipc: IpcConfig,
+}
+
+impl Config {
+    /// Reads the daemon's configuration from files that hold a table each, several, or all.
+    ///
+    /// `[arm]` and `[drives]` must be there; another table that is absent has its defaults.
+    ///
+    /// # Errors
+    /// Everything wrong in the files, a table in two files or in none, as [`ConfigError`].
+    pub fn load(paths: &[PathBuf]) -> Result<Self, ConfigError> {
+        reader::read_files(paths, KNOWN_TABLES, Self::build)
+    }
+
+    /// The same from texts in memory: pairs of a name, which stands for the file in messages, and its content.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn parse(texts: Vec<(String, String)>) -> Result<Self, ConfigError> {
+        reader::read(texts, KNOWN_TABLES, Self::build)
+    }
+
+    /// Builds the configuration from an opened document, for programs whose files hold further tables.
+    pub fn build(document: &Document<'_>) -> Self {
+        let arm = arm_file::arm(document);
+        let timing = timing::read(&document.table_or_defaults(&LOOP));
+        let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
+        let planner_table = document.table_or_defaults(&PLANNER);
+        let planner = planner_file::read(&planner_table, Some(timing.period_s), disk_radius_m);
+        let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len());
+        let observer = observer::read(&document.table_or_defaults(&OBSERVER));
+        let guard_table = document.table_or_defaults(&GUARD);
+        let guard = guard::read(&guard_table);
+        if guard.encoder_silent_s < 2.0 * timing.period_s {
+            let help = format!("permitted: {} s (two periods of the loop) to 10 s", 2.0 * timing.period_s);
+            guard_table.refuse("encoder_silent_s", "shorter than two periods of the loop", &help);
+        }
+        let obstacles = obstacles::read(&document.table_or_defaults(&OBSTACLES));
+        let drives = drives::read(&document.table(&DRIVES), &arm, Some(timing.period_s));
+        let ipc = ipc::read(&document.table_or_defaults(&IPC), &arm.name);
+        if let Some(budget) = planner.budget_s
+            && budget > timing.period_s - timing.reserve_s
+        {
+            let most = timing.period_s - timing.reserve_s;
+            planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
+        }
+        Self { arm, timing, planner, weights, observer, guard, obstacles, drives, ipc }
+    }
+}

@@ -1,0 +1,546 @@
+//! A bus that goes wrong on purpose, and the same way every time.
+//!
+//! Enters: a bus, a plan of faults for each direction, a seed. Leaves: a [`CanBus`] whose frames are dropped, delayed (by
+//! frames or by time), duplicated, reordered and corrupted. Each frame draws the same number of random values whatever
+//! becomes of it, so a change of one probability does not move the other faults.
+//! Must never: allocate after creation, or lose a frame other than by its plan (the counts say what was done).
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use thiserror::Error;
+
+use crate::can::{BusCounters, BusState, CanBus, Filter, FilterSet, Frame, Kind, ReceiveError, Received, SendError};
+use crate::clock::Clock;
+
+/// Frames that one direction holds back or has ready at most; a frame beyond that passes untouched.
+pub const HELD_MAX: usize = 1024;
+
+/// How long a delayed frame is held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delay {
+    /// Until so many later frames have passed; if none come it stays.
+    Frames(u32),
+    /// By the shim's clock.
+    Time(Duration),
+}
+
+/// What is done to a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// It vanishes; the sender is told that it was sent.
+    Drop,
+    /// It comes later than it should.
+    Delay(Delay),
+    /// It comes twice.
+    Duplicate,
+    /// It changes places with the next one.
+    Reorder,
+    /// One bit of its payload is flipped; a frame without payload vanishes.
+    Corrupt,
+}
+
+/// A fault at a known place: every frame of `ids` whose number in its direction (from 0, all frames counted) is in
+/// `frames`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scripted {
+    /// Numbers.
+    pub frames: Range<u64>,
+    /// Identifiers; the default means all.
+    pub ids: FilterSet,
+    /// What happens.
+    pub fault: Fault,
+}
+
+/// Faults of one direction. The first script entry that fits a frame decides, otherwise chance; of several faults that
+/// chance gives to one frame, the first in the order of the fields below is taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaultPlan {
+    /// Probability of [`Fault::Drop`].
+    pub drop: f64,
+    /// Probability of [`Fault::Corrupt`].
+    pub corrupt: f64,
+    /// Probability of [`Fault::Duplicate`].
+    pub duplicate: f64,
+    /// Probability of [`Fault::Reorder`].
+    pub reorder: f64,
+    /// Probability of [`Fault::Delay`], by `delay_by`.
+    pub delay: f64,
+    /// How long.
+    pub delay_by: Delay,
+    /// Identifiers that chance applies to; the default means all.
+    pub ids: FilterSet,
+    /// Faults at known places.
+    pub script: Vec<Scripted>,
+}
+
+impl Default for FaultPlan {
+    /// No faults.
+    fn default() -> Self {
+        Self {
+            drop: 0.0,
+            corrupt: 0.0,
+            duplicate: 0.0,
+            reorder: 0.0,
+            delay: 0.0,
+            delay_by: Delay::Frames(1),
+            ids: FilterSet::default(),
+            script: Vec::new(),
+        }
+    }
+}
+
+/// A plan that makes no sense.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error("probability of {fault}: {found}, expected 0 to 1")]
+pub struct FaultPlanError {
+    /// Field of the plan.
+    pub fault: &'static str,
+    /// Value found.
+    pub found: f64,
+}
+
+/// What was done to the frames of one direction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FaultCounts {
+    /// Frames that came in.
+    pub seen: u64,
+    /// Dropped.
+    pub dropped: u64,
+    /// Corrupted.
+    pub corrupted: u64,
+    /// Duplicated.
+    pub duplicated: u64,
+    /// Reordered.
+    pub reordered: u64,
+    /// Delayed.
+    pub delayed: u64,
+    /// Passed untouched because too many were held, or refused by the bus when their delay was over.
+    pub overflowed: u64,
+}
+
+/// When a held frame goes on.
+#[derive(Debug, Clone, Copy)]
+enum Release {
+    AtFrame(u64),
+    AtTime(u64),
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    received: Received,
+    held_since_ns: u64,
+    release: Release,
+}
+
+/// One direction.
+struct Line {
+    plan: FaultPlan,
+    rng: Xoshiro256PlusPlus,
+    held: Vec<Held>,
+    /// Ready to go on. Always emptied before the next frame is taken in, so its capacity suffices.
+    ready: VecDeque<Received>,
+    counts: FaultCounts,
+}
+
+impl Line {
+    fn new(plan: FaultPlan, rng: Xoshiro256PlusPlus) -> Result<Self, FaultPlanError> {
+        let probabilities = [
+            ("drop", plan.drop),
+            ("corrupt", plan.corrupt),
+            ("duplicate", plan.duplicate),
+            ("reorder", plan.reorder),
+            ("delay", plan.delay),
+        ];
+        if let Some(&(fault, found)) = probabilities.iter().find(|(_, p)| !(0.0..=1.0).contains(p)) {
+            return Err(FaultPlanError { fault, found });
+        }
+        let held = Vec::with_capacity(HELD_MAX);
+        // Each frame that comes in adds itself, perhaps twice, and all that are held can follow it.
+        let ready = VecDeque::with_capacity(2 * HELD_MAX + 2);
+        Ok(Self { plan, rng, held, ready, counts: FaultCounts::default() })
+    }
+
+    /// The fate of the next frame, and a random number for its details.
+    fn draw(&mut self, number: u64, frame: &Frame) -> (Option<Fault>, u32) {
+        let p = &self.plan;
+        let chances = [
+            (p.drop, Fault::Drop),
+            (p.corrupt, Fault::Corrupt),
+            (p.duplicate, Fault::Duplicate),
+            (p.reorder, Fault::Reorder),
+            (p.delay, Fault::Delay(p.delay_by)),
+        ]
+        .map(|(probability, fault)| (self.rng.random::<f64>() < probability).then_some(fault));
+        let detail = self.rng.random();
+        let scripted = p.script.iter().find(|s| s.frames.contains(&number) && s.ids.passes(frame.id()));
+        let fault = match scripted {
+            Some(scripted) => Some(scripted.fault),
+            None if p.ids.passes(frame.id()) => chances.into_iter().flatten().next(),
+            None => None,
+        };
+        (fault, detail)
+    }
+
+    /// Takes a frame in; whatever is to go on now is then in `ready`.
+    fn take(&mut self, received: Received, now_ns: u64) {
+        let number = self.counts.seen;
+        self.counts.seen += 1;
+        let (mut fault, detail) = self.draw(number, &received.frame);
+        if matches!(fault, Some(Fault::Delay(_) | Fault::Reorder)) && self.held.len() == HELD_MAX {
+            self.counts.overflowed += 1;
+            fault = None;
+        }
+        let mut hold = |release| self.held.push(Held { received, held_since_ns: now_ns, release });
+        match fault {
+            None => self.ready.push_back(received),
+            Some(Fault::Drop) => self.counts.dropped += 1,
+            Some(Fault::Corrupt) => match corrupted(&received.frame, detail) {
+                Some(frame) => {
+                    self.counts.corrupted += 1;
+                    self.ready.push_back(Received { frame, ..received });
+                }
+                None => self.counts.dropped += 1,
+            },
+            Some(Fault::Duplicate) => {
+                self.counts.duplicated += 1;
+                self.ready.extend([received, received]);
+            }
+            Some(Fault::Reorder) => {
+                self.counts.reordered += 1;
+                hold(Release::AtFrame(number + 1));
+            }
+            Some(Fault::Delay(Delay::Frames(n))) => {
+                self.counts.delayed += 1;
+                hold(Release::AtFrame(number + u64::from(n)));
+            }
+            Some(Fault::Delay(Delay::Time(d))) => {
+                self.counts.delayed += 1;
+                let d = u64::try_from(d.as_nanos()).unwrap_or(u64::MAX);
+                hold(Release::AtTime(now_ns.saturating_add(d)));
+            }
+        }
+        self.release(now_ns);
+    }
+
+    /// Moves what is due from `held` to `ready`, oldest first.
+    fn release(&mut self, now_ns: u64) {
+        let last = self.counts.seen.wrapping_sub(1);
+        let ready = &mut self.ready;
+        self.held.retain(|h| {
+            let due = match h.release {
+                Release::AtFrame(n) => self.counts.seen > 0 && last >= n,
+                Release::AtTime(t) => now_ns >= t,
+            };
+            // Bounded by the capacity reserved: the rest waits for the caller to take what is ready.
+            if !due || ready.len() == ready.capacity() {
+                return true;
+            }
+            let late_ns = now_ns.saturating_sub(h.held_since_ns);
+            ready.push_back(Received { time_ns: h.received.time_ns.saturating_add(late_ns), ..h.received });
+            false
+        });
+    }
+
+    /// The earliest time at which a held frame is due by the clock.
+    fn next_time_ns(&self) -> Option<u64> {
+        self.held.iter().filter_map(|h| if let Release::AtTime(t) = h.release { Some(t) } else { None }).min()
+    }
+}
+
+/// One bit of the payload flipped, or nothing to flip.
+fn corrupted(frame: &Frame, detail: u32) -> Option<Frame> {
+    if frame.data().is_empty() || frame.kind() == Kind::Remote {
+        return None;
+    }
+    let mut data = [0; crate::can::DATA_LEN_MAX];
+    let data = &mut data[..frame.data().len()];
+    data.copy_from_slice(frame.data());
+    let bit = detail as usize % (8 * data.len());
+    data[bit / 8] ^= 1 << (bit % 8);
+    Frame::new(frame.id(), frame.kind(), data).ok()
+}
+
+/// A bus with faults.
+pub struct FaultShim<B> {
+    bus: B,
+    outgoing: Line,
+    incoming: Line,
+    seed: u64,
+    clock: Arc<dyn Clock>,
+    /// Duplicates made by this handle and its duplicates, so that each has faults of its own.
+    duplicates: Arc<AtomicU64>,
+}
+
+/// How often a frame delayed by a clock that may be no real time is looked for while a receive waits.
+const CLOCK_POLL: Duration = Duration::from_micros(200);
+
+impl<B: CanBus> FaultShim<B> {
+    /// Puts faults in front of a bus: `outgoing` to what is sent through it, `incoming` to what it receives.
+    ///
+    /// # Errors
+    /// A probability outside 0 to 1.
+    pub fn new(
+        bus: B,
+        outgoing: FaultPlan,
+        incoming: FaultPlan,
+        seed: u64,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Self, FaultPlanError> {
+        let first = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut second = first.clone();
+        second.jump();
+        Ok(Self {
+            bus,
+            outgoing: Line::new(outgoing, first)?,
+            incoming: Line::new(incoming, second)?,
+            seed,
+            clock,
+            duplicates: Arc::default(),
+        })
+    }
+
+    /// What was done to sent and to received frames.
+    pub fn counts(&self) -> (FaultCounts, FaultCounts) {
+        (self.outgoing.counts, self.incoming.counts)
+    }
+
+    /// The bus behind the faults.
+    pub fn inner(&self) -> &B {
+        &self.bus
+    }
+
+    /// Hands on what is ready to be sent; an error is the bus's, for the first frame that it refused.
+    fn send_ready(&mut self) -> Result<(), SendError> {
+        let mut result = Ok(());
+        while let Some(received) = self.outgoing.ready.pop_front() {
+            if let Err(e) = self.bus.send(&received.frame) {
+                self.outgoing.counts.overflowed += 1;
+                result = result.and(Err(e));
+            }
+        }
+        result
+    }
+}
+
+impl<B: CanBus> CanBus for FaultShim<B> {
+    /// As the bus behind. A frame that chance drops or holds is reported as sent, unless the bus is down.
+    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
+        let state = self.bus.state();
+        if !state.carries_frames() {
+            return Err(SendError::Bus(state));
+        }
+        let now_ns = self.clock.now_ns();
+        self.outgoing.take(Received { frame: *frame, time_ns: now_ns }, now_ns);
+        self.send_ready()
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, ReceiveError> {
+        let deadline_ns =
+            crate::clock::monotonic_ns().saturating_add(u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX));
+        loop {
+            let now_ns = self.clock.now_ns();
+            self.outgoing.release(now_ns);
+            // There is nobody to tell about a refusal now; it is counted.
+            let _ = self.send_ready();
+            self.incoming.release(now_ns);
+            if let Some(received) = self.incoming.ready.pop_front() {
+                return Ok(Some(received));
+            }
+            let left = Duration::from_nanos(deadline_ns.saturating_sub(crate::clock::monotonic_ns()));
+            let timed = self.outgoing.next_time_ns().is_some() || self.incoming.next_time_ns().is_some();
+            match self.bus.receive(if timed { left.min(CLOCK_POLL) } else { left })? {
+                Some(received) => self.incoming.take(received, self.clock.now_ns()),
+                None if left.is_zero() => return Ok(None),
+                None => {}
+            }
+        }
+    }
+
+    fn state(&self) -> BusState {
+        self.bus.state()
+    }
+
+    fn counters(&self) -> BusCounters {
+        self.bus.counters()
+    }
+
+    fn set_filters(&mut self, filters: &[Filter]) -> Result<(), ReceiveError> {
+        self.bus.set_filters(filters)
+    }
+
+    /// A handle with the same plans and a seed that follows from this one's.
+    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
+        let number = self.duplicates.fetch_add(1, Ordering::Relaxed) + 1;
+        let seed = self.seed.wrapping_add(number.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        let (outgoing, incoming) = (self.outgoing.plan.clone(), self.incoming.plan.clone());
+        let mut shim = FaultShim::new(self.bus.duplicate()?, outgoing, incoming, seed, Arc::clone(&self.clock))
+            .map_err(std::io::Error::other)?;
+        shim.duplicates = Arc::clone(&self.duplicates);
+        Ok(Box::new(shim))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::can::Id;
+    use crate::clock::{Lockstep, Monotonic};
+
+    /// A bus that hears what it sends.
+    #[derive(Default)]
+    struct Echo(VecDeque<Frame>);
+
+    impl CanBus for Echo {
+        fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
+            self.0.push_back(*frame);
+            Ok(())
+        }
+        fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
+            Ok(self.0.pop_front().map(|frame| Received { frame, time_ns: 1 }))
+        }
+        fn state(&self) -> BusState {
+            BusState::ErrorActive
+        }
+        fn counters(&self) -> BusCounters {
+            BusCounters::default()
+        }
+        fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
+            Ok(())
+        }
+        fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
+            Ok(Box::new(Self::default()))
+        }
+    }
+
+    fn frame(i: u16) -> Frame {
+        Frame::classic(Id::Standard(0x200 + i % 8), &i.to_le_bytes()).unwrap()
+    }
+
+    fn shim(outgoing: FaultPlan, incoming: FaultPlan, seed: u64) -> FaultShim<Echo> {
+        FaultShim::new(Echo::default(), outgoing, incoming, seed, Arc::new(Monotonic)).unwrap()
+    }
+
+    fn numbers(frames: impl IntoIterator<Item = Frame>) -> Vec<u16> {
+        frames.into_iter().map(|f| u16::from_le_bytes(f.data().try_into().unwrap())).collect()
+    }
+
+    /// Sends frames 0..n and lists what reaches the bus.
+    fn through(plan: FaultPlan, seed: u64, n: u16) -> (Vec<u16>, FaultCounts) {
+        let mut s = shim(plan, FaultPlan::default(), seed);
+        (0..n).for_each(|i| s.send(&frame(i)).unwrap());
+        (numbers(s.bus.0.drain(..)), s.outgoing.counts)
+    }
+
+    #[test]
+    fn without_faults_it_is_a_wire() {
+        assert_eq!(through(FaultPlan::default(), 1, 100).0, (0..100).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_faults_and_another_one_others() {
+        let plan =
+            FaultPlan { drop: 0.1, corrupt: 0.1, duplicate: 0.1, reorder: 0.1, delay: 0.1, ..FaultPlan::default() };
+        assert_eq!(through(plan.clone(), 7, 1000), through(plan.clone(), 7, 1000));
+        assert_ne!(through(plan.clone(), 7, 1000).0, through(plan, 8, 1000).0);
+    }
+
+    #[test]
+    fn frames_are_lost_as_often_as_the_plan_says_and_no_others() {
+        let n = 20_000;
+        let (got, counts) = through(FaultPlan { drop: 0.05, ..FaultPlan::default() }, 3, n);
+        assert_eq!(got.len() as u64 + counts.dropped, u64::from(n));
+        // Five standard deviations of a binomial count.
+        let sigma = (f64::from(n) * 0.05 * 0.95).sqrt();
+        assert!((counts.dropped as f64 - 0.05 * f64::from(n)).abs() < 5.0 * sigma, "{counts:?}");
+    }
+
+    #[test]
+    fn a_probability_of_one_hits_every_frame() {
+        let all = |p: FaultPlan| through(p, 1, 6).0;
+        let none = FaultPlan::default();
+        assert_eq!(all(FaultPlan { drop: 1.0, ..none.clone() }), []);
+        assert_eq!(all(FaultPlan { duplicate: 1.0, ..none.clone() }), [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]);
+        let corrupt = all(FaultPlan { corrupt: 1.0, ..none.clone() });
+        assert!((0..6_u16).zip(&corrupt).all(|(a, b)| (a ^ b).count_ones() == 1), "{corrupt:?}");
+        assert_eq!(all(FaultPlan { delay: 1.0, delay_by: Delay::Frames(2), ..none }), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn one_fault_does_not_move_another() {
+        let (drop_only, _) = through(FaultPlan { drop: 0.2, ..FaultPlan::default() }, 5, 500);
+        let (both, _) = through(FaultPlan { drop: 0.2, duplicate: 0.3, ..FaultPlan::default() }, 5, 500);
+        let mut once = both;
+        once.dedup();
+        assert_eq!(once, drop_only);
+    }
+
+    #[test]
+    fn a_script_hits_exactly_its_frames_and_identifiers() {
+        let only = FilterSet::new(&[Filter { value: 0x203, mask: 0x7ff }]);
+        let script = vec![
+            Scripted { frames: 2..5, ids: FilterSet::default(), fault: Fault::Drop },
+            Scripted { frames: 8..24, ids: only, fault: Fault::Drop },
+            Scripted { frames: 6..7, ids: FilterSet::default(), fault: Fault::Reorder },
+            Scripted { frames: 24..25, ids: FilterSet::default(), fault: Fault::Delay(Delay::Frames(3)) },
+        ];
+        let (got, counts) = through(FaultPlan { script, ..FaultPlan::default() }, 1, 30);
+        let expected = [0, 1, 5, 7, 6, 8, 9, 10, 12, 13, 14, 15, 16, 17, 18, 20, 21, 22, 23, 25, 26, 27, 24, 28, 29];
+        assert_eq!(got, expected);
+        assert_eq!((counts.dropped, counts.reordered, counts.delayed), (5, 1, 1));
+    }
+
+    #[test]
+    fn received_frames_suffer_the_other_plan() {
+        let mut s = shim(FaultPlan::default(), FaultPlan { duplicate: 1.0, ..FaultPlan::default() }, 1);
+        (0..3).for_each(|i| s.send(&frame(i)).unwrap());
+        let mut got = Vec::new();
+        while let Some(r) = s.receive(Duration::ZERO).unwrap() {
+            got.push(r.frame);
+        }
+        assert_eq!(numbers(got), [0, 0, 1, 1, 2, 2]);
+    }
+
+    #[test]
+    fn a_delay_by_time_ends_when_the_clock_says_so() {
+        let clock = Arc::new(Lockstep::new(1000));
+        let plan = FaultPlan { delay: 1.0, delay_by: Delay::Time(Duration::from_nanos(500)), ..FaultPlan::default() };
+        let mut s = FaultShim::new(Echo::default(), FaultPlan::default(), plan, 1, clock.clone()).unwrap();
+        s.send(&frame(9)).unwrap();
+        assert_eq!(s.receive(Duration::ZERO), Ok(None));
+        clock.advance_to(1499);
+        assert_eq!(s.receive(Duration::ZERO), Ok(None));
+        clock.advance_to(1500);
+        // The frame was received at time 1 and came 500 ns late.
+        assert_eq!(s.receive(Duration::ZERO), Ok(Some(Received { frame: frame(9), time_ns: 501 })));
+    }
+
+    #[test]
+    fn a_frame_without_payload_cannot_be_corrupted_and_vanishes() {
+        let mut s = shim(FaultPlan { corrupt: 1.0, ..FaultPlan::default() }, FaultPlan::default(), 1);
+        s.send(&Frame::classic(Id::Standard(0x80), &[]).unwrap()).unwrap();
+        assert!(s.bus.0.is_empty());
+        assert_eq!(s.counts().0.dropped, 1);
+    }
+
+    #[test]
+    fn too_many_held_frames_pass_untouched() {
+        let plan = FaultPlan { delay: 1.0, delay_by: Delay::Frames(u32::MAX), ..FaultPlan::default() };
+        let (got, counts) = through(plan, 1, HELD_MAX as u16 + 10);
+        assert_eq!((got.len(), counts.overflowed), (10, 10));
+    }
+
+    #[test]
+    fn impossible_probabilities_are_refused() {
+        for found in [-0.1, 1.1, f64::NAN, f64::INFINITY] {
+            let plan = FaultPlan { reorder: found, ..FaultPlan::default() };
+            let e = FaultShim::new(Echo::default(), FaultPlan::default(), plan, 1, Arc::new(Monotonic)).err().unwrap();
+            assert_eq!(e.fault, "reorder");
+        }
+    }
+}

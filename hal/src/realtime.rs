@@ -1,0 +1,379 @@
+//! What the control thread asks of the operating system, and what it was refused.
+//!
+//! Enters: a [`Request`]. Leaves: a [`Report`] with one entry for each wish that was not granted, why, and what mends it.
+//! Nothing here fails by itself: a machine without privileges runs on, degraded, and says so once. Who cannot accept
+//! that asks [`Report::require`].
+//! Must never: change another thread, except that locking memory is by nature a matter of the whole process.
+
+use std::fmt;
+use std::io;
+
+use rustix::mm::MlockAllFlags;
+use rustix::thread::CpuSet;
+use thiserror::Error;
+
+/// What a thread wants.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    /// SCHED_FIFO priority, 1 (lowest) to 99; `None` leaves the scheduling alone. Above 49 the thread also precedes the
+    /// kernel's interrupt threads on PREEMPT_RT, the CAN driver's among them.
+    pub priority: Option<u8>,
+    /// Processors that the thread may run on; empty leaves them alone.
+    pub cpus: Vec<usize>,
+    /// Lock all memory of the process, present and future.
+    pub lock_memory: bool,
+    /// Stack to touch now, so that it does not fault in later (bytes); cut to what the thread has.
+    pub prefault_stack: usize,
+    /// Flush denormal numbers to zero, see [`flush_denormals`].
+    pub flush_denormals: bool,
+}
+
+impl Default for Request {
+    /// Priority 40 on any processor, memory locked, 256 KiB of stack touched, denormals flushed.
+    fn default() -> Self {
+        Self {
+            priority: Some(40),
+            cpus: Vec::new(),
+            lock_memory: true,
+            prefault_stack: 256 << 10,
+            flush_denormals: true,
+        }
+    }
+}
+
+/// A wish.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Wish {
+    /// SCHED_FIFO.
+    Priority,
+    /// Processors.
+    Affinity,
+    /// Memory in RAM.
+    LockedMemory,
+    /// Denormal numbers as zero.
+    FlushDenormals,
+}
+
+/// A wish not granted.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refused {
+    /// Which.
+    pub wish: Wish,
+    /// Error number of the operating system, where it was the one to refuse.
+    pub os_error: Option<i32>,
+    /// What stands in the way and what mends it.
+    pub remedy: String,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let wish = match self.wish {
+            Wish::Priority => "real-time priority",
+            Wish::Affinity => "processor affinity",
+            Wish::LockedMemory => "locked memory",
+            Wish::FlushDenormals => "flushing of denormal numbers",
+        };
+        write!(f, "{wish} refused")?;
+        if let Some(e) = self.os_error {
+            write!(f, " ({})", io::Error::from_raw_os_error(e))?;
+        }
+        write!(f, ": {}", self.remedy)
+    }
+}
+
+/// What a thread got.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Report {
+    /// Wishes not granted; empty if all were.
+    pub refused: Vec<Refused>,
+    /// Stack touched (bytes).
+    pub stack_touched: usize,
+}
+
+/// Real time was required and not granted.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("real time is required, but: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+pub struct NotRealtime(pub Vec<Refused>);
+
+impl Report {
+    /// `Err` if anything was refused.
+    ///
+    /// # Errors
+    /// [`NotRealtime`] with the refusals.
+    pub fn require(self) -> Result<Self, NotRealtime> {
+        if self.refused.is_empty() { Ok(self) } else { Err(NotRealtime(self.refused)) }
+    }
+}
+
+/// Applies a request to the calling thread. Allocates; called once, before the first tick.
+pub fn enter(request: &Request) -> Report {
+    let mut report = Report::default();
+    let mut refuse = |wish, (os_error, remedy): (Option<i32>, String)| {
+        report.refused.push(Refused { wish, os_error, remedy });
+    };
+    // Memory first: the stack touched below is then locked as well.
+    if request.lock_memory
+        && let Err(why) = lock_memory()
+    {
+        refuse(Wish::LockedMemory, why);
+    }
+    if !request.cpus.is_empty()
+        && let Err(why) = pin(&request.cpus)
+    {
+        refuse(Wish::Affinity, why);
+    }
+    if let Some(priority) = request.priority
+        && let Err(why) = set_fifo(priority)
+    {
+        refuse(Wish::Priority, why);
+    }
+    if request.flush_denormals && !flush_denormals() {
+        refuse(Wish::FlushDenormals, (None, "not known for this processor (x86_64 and aarch64 only)".into()));
+    }
+    report.stack_touched = prefault_stack(request.prefault_stack);
+    report
+}
+
+type Refusal = (Option<i32>, String);
+
+fn set_fifo(priority: u8) -> Result<(), Refusal> {
+    // SAFETY: sched_param is a plain C structure for which all zeros is a valid value.
+    let mut parameters: libc::sched_param = unsafe { std::mem::zeroed() };
+    parameters.sched_priority = libc::c_int::from(priority);
+    // Processes and threads that this one starts do not inherit it.
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    // SAFETY: thread 0 is the calling one, and the pointer is to a live structure.
+    if unsafe { libc::sched_setscheduler(0, policy, &raw const parameters) } == 0 {
+        return Ok(());
+    }
+    let e = last_error();
+    Err((
+        Some(e),
+        if e == libc::EINVAL {
+            format!("priority {priority} does not exist, expected 1 to 99")
+        } else {
+            format!(
+                "the limit of real-time priorities is {} and {priority} was wanted: give the user `rtprio {priority}` in \
+                 /etc/security/limits.d, the service `LimitRTPRIO={priority}`, or the program CAP_SYS_NICE",
+                limit(libc::RLIMIT_RTPRIO as u32)
+            )
+        },
+    ))
+}
+
+fn pin(cpus: &[usize]) -> Result<(), Refusal> {
+    let mut set = CpuSet::new();
+    for &cpu in cpus {
+        if cpu >= CpuSet::MAX_CPU {
+            return Err((None, format!("processor {cpu} does not exist")));
+        }
+        set.set(cpu);
+    }
+    rustix::thread::sched_setaffinity(None, &set).map_err(|e| {
+        let available = std::thread::available_parallelism().map_or(0, usize::from);
+        let text =
+            format!("none of the processors {cpus:?} may be used; this process has {available} (see `taskset -p`)");
+        (Some(e.raw_os_error()), text)
+    })
+}
+
+fn lock_memory() -> Result<(), Refusal> {
+    rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(|e| {
+        let text = format!(
+            "the limit of locked memory is {} bytes: give the user `memlock unlimited` in /etc/security/limits.d, the \
+             service `LimitMEMLOCK=infinity`, or the program CAP_IPC_LOCK",
+            limit(libc::RLIMIT_MEMLOCK as u32)
+        );
+        (Some(e.raw_os_error()), text)
+    })
+}
+
+/// The soft limit of a resource, in words.
+fn limit(resource: u32) -> String {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: the pointer is to a live structure; an unknown resource only gives an error.
+    if unsafe { libc::getrlimit(resource as _, &raw mut limit) } != 0 {
+        return "unknown".into();
+    }
+    if limit.rlim_cur == libc::RLIM_INFINITY { "unlimited".into() } else { limit.rlim_cur.to_string() }
+}
+
+fn last_error() -> i32 {
+    io::Error::last_os_error().raw_os_error().unwrap_or(libc::EIO)
+}
+
+/// Sets the calling thread's processor to treat denormal numbers (below 2.2e-308) as zero, in operands and results;
+/// false where that is not known. Filters that decay produce them, and they cost a hundred times a normal number's time.
+///
+/// On x86_64 these are FTZ and DAZ of MXCSR, on aarch64 FZ of FPCR, which covers both. The compiler may still compute
+/// constants with denormals; nothing of ours depends on one.
+pub fn flush_denormals() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        const FTZ_AND_DAZ: u32 = 1 << 15 | 1 << 6;
+        let mut mxcsr = 0_u32;
+        // SAFETY: stores MXCSR to, and loads it from, a live u32. Both bits exist on every x86_64 processor, and they
+        // change only the treatment of denormal numbers, not rounding or exceptions.
+        unsafe {
+            std::arch::asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack, preserves_flags));
+            mxcsr |= FTZ_AND_DAZ;
+            std::arch::asm!("ldmxcsr [{}]", in(reg) &raw const mxcsr, options(nostack, preserves_flags, readonly));
+        }
+        true
+    }
+    #[cfg(target_arch = "aarch64")]
+    {
+        let mut fpcr: u64;
+        // SAFETY: FPCR may be read and written at any privilege; bit 24 changes only the treatment of denormal numbers.
+        unsafe {
+            std::arch::asm!("mrs {}, fpcr", out(reg) fpcr, options(nomem, nostack, preserves_flags));
+            fpcr |= 1 << 24;
+            std::arch::asm!("msr fpcr, {}", in(reg) fpcr, options(nomem, nostack, preserves_flags));
+        }
+        true
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    false
+}
+
+/// Room left untouched at the stack's end: its guard page, and what a signal handler may need.
+const STACK_RESERVE: usize = 64 << 10;
+/// Stack touched in one call.
+const CHUNK: usize = 16 << 10;
+
+/// Touches the calling thread's stack below here, at most `bytes`; returns how much.
+fn prefault_stack(bytes: usize) -> usize {
+    let here = (&raw const bytes).addr();
+    let Some(low) = stack_low() else { return 0 };
+    let room = here.saturating_sub(low).saturating_sub(STACK_RESERVE);
+    // Each call takes its chunk and a little for its own frame.
+    let calls = bytes.min(room) / (CHUNK + 512);
+    touch(calls);
+    calls * CHUNK
+}
+
+#[inline(never)]
+fn touch(calls: usize) {
+    if calls == 0 {
+        return;
+    }
+    let mut chunk = [0_u8; CHUNK];
+    // The array and the writes to it must really be made.
+    std::hint::black_box(&mut chunk);
+    touch(calls - 1);
+    std::hint::black_box(&mut chunk);
+}
+
+/// Lowest address of the calling thread's stack.
+fn stack_low() -> Option<usize> {
+    // SAFETY: pthread_attr_t is a plain C structure that the next call fills.
+    let mut attributes: libc::pthread_attr_t = unsafe { std::mem::zeroed() };
+    // SAFETY: the calling thread is alive and the pointer is to a live structure.
+    if unsafe { libc::pthread_getattr_np(libc::pthread_self(), &raw mut attributes) } != 0 {
+        return None;
+    }
+    let (mut low, mut size) = (std::ptr::null_mut(), 0);
+    // SAFETY: attributes was filled above; the pointers are to live variables; destroyed once, here.
+    let found = unsafe {
+        let found = libc::pthread_attr_getstack(&raw const attributes, &raw mut low, &raw mut size) == 0;
+        libc::pthread_attr_destroy(&raw mut attributes);
+        found
+    };
+    found.then(|| low.addr())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::hint::black_box;
+
+    /// Runs on a thread of its own: what a test sets must not reach the others.
+    fn alone<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> T {
+        std::thread::spawn(f).join().unwrap()
+    }
+
+    const NOTHING: Request =
+        Request { priority: None, cpus: Vec::new(), lock_memory: false, prefault_stack: 0, flush_denormals: false };
+
+    #[test]
+    fn denormals_vanish_on_the_thread_that_asked_and_on_no_other() {
+        let half = || black_box(f64::MIN_POSITIVE) / black_box(2.0);
+        let as_operand = || black_box(f64::from_bits(1 << 40)) * black_box(1e300);
+        alone(move || {
+            assert!(half() > 0.0 && as_operand() > 0.0);
+            assert!(flush_denormals());
+            assert_eq!((half(), as_operand()), (0.0, 0.0));
+            assert_eq!(black_box(f64::MIN_POSITIVE) * black_box(1.0), f64::MIN_POSITIVE, "normal numbers stay");
+        });
+        assert!(half() > 0.0);
+    }
+
+    #[test]
+    fn impossible_wishes_are_reported_with_a_remedy_and_nothing_fails() {
+        let report = alone(|| enter(&Request { priority: Some(100), cpus: vec![CpuSet::MAX_CPU - 1], ..NOTHING }));
+        assert_eq!(report.refused.iter().map(|r| r.wish).collect::<Vec<_>>(), [Wish::Affinity, Wish::Priority]);
+        assert_eq!(report.refused[1].os_error, Some(libc::EINVAL));
+        assert!(report.refused[1].to_string().contains("expected 1 to 99"));
+        assert!(report.refused[0].to_string().contains("none of the processors"));
+        let error = report.require().unwrap_err().to_string();
+        assert!(error.starts_with("real time is required, but: processor affinity refused"), "{error}");
+    }
+
+    #[test]
+    fn a_processor_beyond_the_kernels_sets_is_reported() {
+        let report = alone(|| enter(&Request { cpus: vec![usize::MAX], ..NOTHING }));
+        assert_eq!((report.refused[0].wish, report.refused[0].os_error), (Wish::Affinity, None));
+    }
+
+    #[test]
+    fn nothing_wanted_is_nothing_refused() {
+        assert_eq!(alone(|| enter(&NOTHING)).require(), Ok(Report::default()));
+    }
+
+    #[test]
+    fn a_thread_is_pinned_where_it_asked() {
+        let allowed = rustix::thread::sched_getaffinity(None).unwrap();
+        let cpu = (0..CpuSet::MAX_CPU).find(|&c| allowed.is_set(c)).unwrap();
+        let (report, now) = alone(move || {
+            let report = enter(&Request { cpus: vec![cpu], ..NOTHING });
+            (report, rustix::thread::sched_getaffinity(None).unwrap())
+        });
+        assert_eq!(report.refused, []);
+        assert_eq!((now.count(), now.is_set(cpu)), (1, true));
+    }
+
+    #[test]
+    fn priority_is_granted_or_refused_with_the_limit_named() {
+        let (report, policy) = alone(|| {
+            let report = enter(&Request { priority: Some(1), ..NOTHING });
+            // SAFETY: a query of the calling thread without pointers.
+            (report, unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK)
+        });
+        match report.refused.as_slice() {
+            [] => assert_eq!(policy, libc::SCHED_FIFO),
+            [refused] => {
+                assert_eq!((refused.wish, policy), (Wish::Priority, libc::SCHED_OTHER));
+                assert!(refused.remedy.contains("LimitRTPRIO=1"), "{refused}");
+            }
+            more => panic!("{more:?}"),
+        }
+    }
+
+    #[test]
+    fn the_stack_is_touched_but_never_beyond_its_end() {
+        for stack in [256 << 10, 1 << 20, 8 << 20] {
+            for wanted in [0, 1, 64 << 10, 512 << 10, usize::MAX / 2] {
+                let touched = std::thread::Builder::new()
+                    .stack_size(stack)
+                    .spawn(move || prefault_stack(wanted))
+                    .unwrap()
+                    .join()
+                    .unwrap();
+                assert!(touched <= wanted.min(stack));
+                if wanted >= stack {
+                    assert!(touched * 10 >= (stack - STACK_RESERVE) * 8, "{touched} of {stack}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,457 @@
+//! The kernel's CAN sockets (SocketCAN): classic and FD, error frames, loss of the bus and the return from it.
+//!
+//! Enters and leaves: [`Frame`]s, received ones with the kernel's time of arrival moved to CLOCK_MONOTONIC.
+//! - Sending never blocks. While the kernel's transmit queue is full (ENOBUFS, EAGAIN) frames wait in a bounded queue of
+//!   this handle, in order, and go out at its next call of any method that sends or receives; when that queue is full
+//!   as well, the frame is refused. Losing the bus empties the queue: an old command must not come out of it later.
+//! - Error frames become [`BusState`] and counters, and never reach the caller as frames. The controller's state is
+//!   shared by a handle and its duplicates, so that one that only sends learns what one that receives was told.
+//! - A socket whose interface went down or vanished is closed and opened again as [`Restart`] says.
+//!
+//! Must never: block longer than it is told, allocate after `open`, send what is older than the loss of the bus.
+
+mod socket;
+#[cfg(test)]
+mod tests;
+mod wire;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags};
+use socketcan::CanSocket;
+
+use crate::bus_config::{BusSpec, OpenError, Restart};
+use crate::can::{BusCounters, BusState, CanBus, Filter, Frame, Kind, ReceiveError, Received, SendError};
+use crate::clock::{Clock, Monotonic, monotonic_ns, realtime_ns, timespec};
+use socket::{FILTERS_MAX, InterfaceName, Refusal};
+pub use wire::ErrorReport;
+use wire::{Datagram, FD_LEN};
+
+/// How often a full transmit queue is tried again while a receive waits (ns); one frame of 1 Mbit/s takes 130 us.
+const RETRY_NS: u64 = 200_000;
+/// Error frames taken in one poll, so that a storm of them does not hold the caller.
+const ERROR_FRAMES_MAX: u32 = 64;
+
+type OpenSocket = fn(InterfaceName, bool) -> Result<CanSocket, Refusal>;
+
+/// State of the controller, common to all handles of one `open`.
+#[derive(Default)]
+struct Controller {
+    /// A `BusState` without `Down`, which belongs to the link: 0 active .. 3 bus-off.
+    state: AtomicU32,
+    /// Transmit and receive error counter as last reported.
+    errors: AtomicU32,
+}
+
+impl Controller {
+    fn state(&self) -> BusState {
+        match self.state.load(Ordering::Acquire) {
+            0 => BusState::ErrorActive,
+            1 => BusState::ErrorWarning,
+            2 => BusState::ErrorPassive,
+            _ => BusState::BusOff,
+        }
+    }
+
+    fn set_state(&self, state: BusState) {
+        let word = match state {
+            BusState::ErrorActive | BusState::Down => 0,
+            BusState::ErrorWarning => 1,
+            BusState::ErrorPassive => 2,
+            BusState::BusOff => 3,
+        };
+        self.state.store(word, Ordering::Release);
+    }
+}
+
+/// A handle on a CAN interface.
+pub struct SocketCanBus {
+    name: InterfaceName,
+    fd: bool,
+    restart: Restart,
+    open_socket: OpenSocket,
+    /// `None` while the interface is down or gone.
+    socket: Option<CanSocket>,
+    controller: Arc<Controller>,
+    filters: Vec<[u32; 2]>,
+    queue: Queue,
+    /// State that `receive` has reported.
+    state_seen: BusState,
+    /// Next attempt at recovery, and the interval after it (ns).
+    retry_at_ns: u64,
+    backoff_ns: u64,
+    /// The kernel's count of dropped frames at the last look.
+    dropped: u32,
+    counters: BusCounters,
+}
+
+impl SocketCanBus {
+    /// Opens an interface.
+    ///
+    /// # Errors
+    /// [`OpenError`]: no CAN in the kernel, interface missing, down, of the wrong MTU or kind, no permission.
+    pub fn open(spec: &BusSpec) -> Result<Self, OpenError> {
+        let name = InterfaceName::new(&spec.name)?;
+        let socket = socket::open(name, spec.fd).map_err(|r| r.into_error(name))?;
+        Ok(Self::with_socket(name, spec, socket, socket::open))
+    }
+
+    fn with_socket(name: InterfaceName, spec: &BusSpec, socket: CanSocket, open_socket: OpenSocket) -> Self {
+        Self {
+            name,
+            fd: spec.fd,
+            restart: spec.restart,
+            open_socket,
+            socket: Some(socket),
+            controller: Arc::default(),
+            filters: Vec::with_capacity(FILTERS_MAX),
+            queue: Queue::new(spec.queue_length),
+            state_seen: BusState::ErrorActive,
+            retry_at_ns: 0,
+            backoff_ns: 0,
+            dropped: 0,
+            counters: BusCounters::default(),
+        }
+    }
+
+    /// Transmit and receive error counter of the controller, as last reported by an error frame.
+    pub fn error_counters(&self) -> (u8, u8) {
+        let [tx, rx, ..] = self.controller.errors.load(Ordering::Relaxed).to_le_bytes();
+        (tx, rx)
+    }
+
+    /// Frames that wait in this handle for room in the kernel's transmit queue.
+    pub fn queued(&self) -> usize {
+        self.queue.used
+    }
+
+    /// The interface is down or gone: closes the socket and plans the first attempt to come back.
+    fn lose_link(&mut self) {
+        self.socket = None;
+        self.dropped = 0;
+        self.discard_queue();
+        self.plan_first_attempt();
+    }
+
+    fn discard_queue(&mut self) {
+        self.counters.refused = self.counters.refused.saturating_add(self.queue.used as u64);
+        self.counters.sent = self.counters.sent.saturating_sub(self.queue.used as u64);
+        self.queue.clear();
+    }
+
+    fn plan_first_attempt(&mut self) {
+        if let Restart::Reopen { first, .. } = self.restart {
+            self.backoff_ns = nanoseconds(first);
+            self.retry_at_ns = monotonic_ns().saturating_add(self.backoff_ns);
+        }
+    }
+
+    /// What is due on the way back from a lost bus, and what waits for the kernel. Does not block.
+    fn maintain(&mut self) {
+        if let Restart::Reopen { longest, cycle_interface, .. } = self.restart
+            && !self.state().carries_frames()
+            && monotonic_ns() >= self.retry_at_ns
+        {
+            self.backoff_ns = self.backoff_ns.saturating_mul(2).clamp(1, nanoseconds(longest).max(1));
+            self.retry_at_ns = monotonic_ns().saturating_add(self.backoff_ns);
+            match &self.socket {
+                // Bus-off with the link up. If it may not be cycled, the kernel's own restart remains.
+                Some(socket) if cycle_interface => {
+                    if socket::cycle(socket, self.name).is_ok() {
+                        self.socket = None;
+                        self.dropped = 0;
+                        self.reopen();
+                    }
+                }
+                Some(_) => {}
+                None => self.reopen(),
+            }
+        }
+        self.flush();
+    }
+
+    fn reopen(&mut self) {
+        let Ok(socket) = (self.open_socket)(self.name, self.fd) else { return };
+        if !self.filters.is_empty() && socket::set_filters(&socket, &self.filters).is_err() {
+            return;
+        }
+        self.controller.set_state(BusState::ErrorActive);
+        self.socket = Some(socket);
+    }
+
+    /// Hands waiting frames to the kernel as far as it takes them.
+    fn flush(&mut self) {
+        while let Some(frame) = self.queue.front().copied() {
+            match self.transmit(&frame) {
+                Ok(()) => self.queue.pop(),
+                Err(libc::ENOBUFS | libc::EAGAIN) => return,
+                Err(e) if is_link_loss(e) => return self.lose_link(),
+                // A frame that the kernel refuses for itself must not block those behind it.
+                Err(_) => {
+                    self.queue.pop();
+                    self.counters.sent = self.counters.sent.saturating_sub(1);
+                    self.counters.refused = self.counters.refused.saturating_add(1);
+                }
+            }
+        }
+    }
+
+    fn transmit(&self, frame: &Frame) -> Result<(), i32> {
+        let mut bytes = [0; FD_LEN];
+        let len = wire::encode(frame, &mut bytes);
+        socket::send(self.socket.as_ref().ok_or(libc::ENETDOWN)?, &bytes[..len])
+    }
+
+    /// Takes one datagram.
+    fn take(&mut self) -> Taken {
+        let Some(socket) = &self.socket else { return Taken::Nothing };
+        let mut bytes = [0; FD_LEN];
+        let arrival = match socket::receive(socket, &mut bytes) {
+            Ok(arrival) => arrival,
+            Err(libc::EAGAIN) => return Taken::Nothing,
+            Err(e) if is_link_loss(e) => {
+                self.lose_link();
+                return Taken::Nothing;
+            }
+            Err(e) => return Taken::Failed(e),
+        };
+        if let Some(dropped) = arrival.dropped {
+            let more = u64::from(dropped.wrapping_sub(self.dropped));
+            self.counters.lost = self.counters.lost.saturating_add(more);
+            self.dropped = dropped;
+        }
+        match bytes.get(..arrival.len).map_or(Datagram::Invalid, wire::decode) {
+            Datagram::Frame(frame) => {
+                if !arrival.local && self.controller.state() == BusState::BusOff {
+                    // A frame from the wire: the controller is back, whether or not anybody said so.
+                    self.controller.set_state(BusState::ErrorActive);
+                }
+                self.counters.received = self.counters.received.saturating_add(1);
+                let now_ns = monotonic_ns();
+                let time_ns = arrival.stamp_real_ns.map_or(now_ns, |s| wire::to_monotonic(s, realtime_ns(), now_ns));
+                Taken::Frame(Received { frame, time_ns })
+            }
+            Datagram::Error(report) => {
+                self.note(report);
+                Taken::Other
+            }
+            Datagram::Invalid => {
+                self.counters.errors = self.counters.errors.saturating_add(1);
+                Taken::Other
+            }
+        }
+    }
+
+    fn note(&mut self, report: ErrorReport) {
+        self.counters.errors = self.counters.errors.saturating_add(1);
+        if report.overflow {
+            self.counters.lost = self.counters.lost.saturating_add(1);
+        }
+        if let Some((tx, rx)) = report.counters {
+            self.controller.errors.store(u32::from_le_bytes([tx, rx, 0, 0]), Ordering::Relaxed);
+        }
+        if let Some(state) = report.state {
+            let before = self.controller.state();
+            self.controller.set_state(state);
+            if state == BusState::BusOff && before != BusState::BusOff {
+                self.discard_queue();
+                self.plan_first_attempt();
+            }
+        }
+    }
+
+    /// `Err` if the bus was lost and this handle has not said so yet; remembers the state.
+    fn report_change(&mut self) -> Result<(), ReceiveError> {
+        let state = self.state();
+        let changed = std::mem::replace(&mut self.state_seen, state) != state;
+        if changed && !state.carries_frames() { Err(ReceiveError::Bus(state)) } else { Ok(()) }
+    }
+
+    /// Sleeps until something may have changed, at most until `deadline_ns`.
+    fn wait(&self, now_ns: u64, deadline_ns: u64) -> Result<(), ReceiveError> {
+        let mut until_ns = deadline_ns;
+        if self.queue.used > 0 {
+            until_ns = until_ns.min(now_ns.saturating_add(RETRY_NS));
+        }
+        if !self.state().carries_frames() && self.restart != Restart::Never {
+            until_ns = until_ns.min(self.retry_at_ns.max(now_ns + 1));
+        }
+        let Some(socket) = &self.socket else {
+            Monotonic.sleep_until(until_ns);
+            return Ok(());
+        };
+        let left = timespec(until_ns.saturating_sub(now_ns));
+        match rustix::event::poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&left)) {
+            Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
+            Err(e) => Err(ReceiveError::Os(e.raw_os_error())),
+        }
+    }
+}
+
+/// What `take` found.
+enum Taken {
+    Frame(Received),
+    /// Something that is not for the caller.
+    Other,
+    Nothing,
+    Failed(i32),
+}
+
+fn is_link_loss(e: i32) -> bool {
+    matches!(e, libc::ENETDOWN | libc::ENODEV | libc::ENXIO)
+}
+
+fn nanoseconds(d: Duration) -> u64 {
+    u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)
+}
+
+impl CanBus for SocketCanBus {
+    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
+        if matches!(frame.kind(), Kind::Fd { .. }) && !self.fd {
+            return Err(SendError::Unsupported);
+        }
+        self.maintain();
+        if !self.state().carries_frames() {
+            return Err(SendError::Bus(self.state()));
+        }
+        let result = if self.queue.used > 0 { Err(libc::EAGAIN) } else { self.transmit(frame) };
+        match result {
+            Ok(()) => {}
+            Err(libc::ENOBUFS | libc::EAGAIN) => {
+                if !self.queue.push(frame) {
+                    self.counters.refused = self.counters.refused.saturating_add(1);
+                    return Err(SendError::Full);
+                }
+            }
+            Err(e) if is_link_loss(e) => {
+                self.lose_link();
+                return Err(SendError::Bus(BusState::Down));
+            }
+            Err(libc::EINVAL | libc::EMSGSIZE) => return Err(SendError::Unsupported),
+            Err(e) => return Err(SendError::Os(e)),
+        }
+        self.counters.sent = self.counters.sent.saturating_add(1);
+        Ok(())
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, ReceiveError> {
+        let deadline_ns = monotonic_ns().saturating_add(nanoseconds(timeout));
+        let mut others = 0;
+        loop {
+            self.maintain();
+            match self.take() {
+                Taken::Frame(received) => return Ok(Some(received)),
+                Taken::Failed(e) => return Err(ReceiveError::Os(e)),
+                Taken::Other => {
+                    others += 1;
+                    self.report_change()?;
+                    if others < ERROR_FRAMES_MAX {
+                        continue;
+                    }
+                }
+                Taken::Nothing => self.report_change()?,
+            }
+            let now_ns = monotonic_ns();
+            if now_ns >= deadline_ns {
+                let state = self.state();
+                return if state.carries_frames() { Ok(None) } else { Err(ReceiveError::Bus(state)) };
+            }
+            others = 0;
+            self.wait(now_ns, deadline_ns)?;
+        }
+    }
+
+    fn state(&self) -> BusState {
+        if self.socket.is_none() { BusState::Down } else { self.controller.state() }
+    }
+
+    fn counters(&self) -> BusCounters {
+        self.counters
+    }
+
+    fn set_filters(&mut self, filters: &[Filter]) -> Result<(), ReceiveError> {
+        if filters.len() > FILTERS_MAX {
+            return Err(ReceiveError::Os(libc::EINVAL));
+        }
+        self.filters.clear();
+        // The mask covers the mark of extended frames, so that no filter passes one; remote requests pass as data do.
+        self.filters.extend(
+            filters.iter().map(|f| [f.value & libc::CAN_SFF_MASK, f.mask & libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG]),
+        );
+        let everything = [[0, 0]];
+        let wanted = if filters.is_empty() { &everything[..] } else { &self.filters };
+        match &self.socket {
+            Some(socket) => {
+                socket::set_filters(socket, wanted).map_err(|e| ReceiveError::Os(e.raw_os_error().unwrap_or(libc::EIO)))
+            }
+            // Installed when the interface comes back.
+            None => Ok(()),
+        }
+    }
+
+    fn duplicate(&self) -> io::Result<Box<dyn CanBus>> {
+        let socket = (self.open_socket)(self.name, self.fd).map_err(|r| io::Error::other(r.into_error(self.name)))?;
+        if !self.filters.is_empty() {
+            socket::set_filters(&socket, &self.filters)?;
+        }
+        let mut filters = Vec::with_capacity(FILTERS_MAX);
+        filters.extend_from_slice(&self.filters);
+        Ok(Box::new(Self {
+            name: self.name,
+            fd: self.fd,
+            restart: self.restart,
+            open_socket: self.open_socket,
+            socket: Some(socket),
+            controller: Arc::clone(&self.controller),
+            filters,
+            queue: Queue::new(self.queue.frames.len()),
+            state_seen: BusState::ErrorActive,
+            retry_at_ns: 0,
+            backoff_ns: 0,
+            dropped: 0,
+            counters: BusCounters::default(),
+        }))
+    }
+}
+
+/// A bounded queue of frames, first in first out.
+struct Queue {
+    frames: Box<[Option<Frame>]>,
+    first: usize,
+    used: usize,
+}
+
+impl Queue {
+    fn new(capacity: usize) -> Self {
+        Self { frames: vec![None; capacity].into_boxed_slice(), first: 0, used: 0 }
+    }
+
+    fn front(&self) -> Option<&Frame> {
+        if self.used == 0 { None } else { self.frames[self.first].as_ref() }
+    }
+
+    fn pop(&mut self) {
+        if self.used > 0 {
+            self.first = (self.first + 1) % self.frames.len();
+            self.used -= 1;
+        }
+    }
+
+    /// False if it is full.
+    fn push(&mut self, frame: &Frame) -> bool {
+        if self.used == self.frames.len() {
+            return false;
+        }
+        let at = (self.first + self.used) % self.frames.len();
+        self.frames[at] = Some(*frame);
+        self.used += 1;
+        true
+    }
+
+    fn clear(&mut self) {
+        (self.first, self.used) = (0, 0);
+    }
+}

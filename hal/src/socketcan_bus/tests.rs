@@ -1,0 +1,251 @@
+//! The handle's logic without CAN in the kernel: a pair of local datagram sockets stands for the wire, with the
+//! kernel's frame format on it. The kernel's half is tested by the conformance suite on a vcan.
+
+use std::cell::RefCell;
+use std::os::fd::{AsRawFd, OwnedFd};
+
+use rustix::net::{AddressFamily, SocketFlags, SocketType};
+
+use super::*;
+use crate::bus_config::BusKind;
+use crate::can::Id;
+
+thread_local! {
+    /// The wire's end of the socket that `reconnect` made last; none: the interface is still missing.
+    static WIRE: RefCell<Vec<CanSocket>> = const { RefCell::new(Vec::new()) };
+    static MAY_RECONNECT: RefCell<bool> = const { RefCell::new(false) };
+}
+
+fn pair() -> (CanSocket, CanSocket) {
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    let (a, b) = rustix::net::socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None).unwrap();
+    let socket = |fd: OwnedFd| {
+        let s = CanSocket::from(fd);
+        socket::set_common_options(&s).unwrap();
+        s
+    };
+    (socket(a), socket(b))
+}
+
+fn reconnect(_: InterfaceName, _: bool) -> Result<CanSocket, Refusal> {
+    if !MAY_RECONNECT.with(|m| *m.borrow()) {
+        return Err(Refusal::Down);
+    }
+    let (near, far) = pair();
+    WIRE.with(|w| w.borrow_mut().push(far));
+    Ok(near)
+}
+
+fn spec(queue_length: usize) -> BusSpec {
+    let restart =
+        Restart::Reopen { first: Duration::from_millis(1), longest: Duration::from_millis(4), cycle_interface: false };
+    BusSpec { queue_length, restart, ..BusSpec::new(BusKind::Socketcan, "can9") }
+}
+
+fn bus(spec: &BusSpec) -> (SocketCanBus, CanSocket) {
+    let (near, far) = pair();
+    (SocketCanBus::with_socket(InterfaceName::new(&spec.name).unwrap(), spec, near, reconnect), far)
+}
+
+fn frame(i: u16) -> Frame {
+    Frame::classic(Id::Standard(i & 0x7ff), &i.to_le_bytes()).unwrap()
+}
+
+fn put(wire: &CanSocket, frame: &Frame) {
+    let mut bytes = [0; FD_LEN];
+    let len = wire::encode(frame, &mut bytes);
+    socket::send(wire, &bytes[..len]).unwrap();
+}
+
+fn put_error(wire: &CanSocket, class: u32, data: [u8; 8]) {
+    let mut bytes = [0; 16];
+    bytes[..4].copy_from_slice(&(libc::CAN_ERR_FLAG | class).to_ne_bytes());
+    bytes[4] = 8;
+    bytes[8..].copy_from_slice(&data);
+    socket::send(wire, &bytes).unwrap();
+}
+
+fn drain(wire: &CanSocket) -> Vec<Frame> {
+    let mut all = Vec::new();
+    let mut bytes = [0; FD_LEN];
+    while let Ok(arrival) = socket::receive(wire, &mut bytes) {
+        match wire::decode(&bytes[..arrival.len]) {
+            Datagram::Frame(f) => all.push(f),
+            other => panic!("{other:?}"),
+        }
+    }
+    all
+}
+
+const WAIT: Duration = Duration::from_secs(10);
+
+#[test]
+fn a_full_transmit_queue_is_bridged_in_order_and_then_refused() {
+    let (mut bus, wire) = bus(&spec(5));
+    let mut sent = 0;
+    while bus.queued() < 5 {
+        bus.send(&frame(sent)).unwrap();
+        sent += 1;
+    }
+    assert!(sent > 5, "the kernel took nothing");
+    assert_eq!(bus.send(&frame(999)), Err(SendError::Full));
+    assert_eq!(bus.counters(), BusCounters { sent: u64::from(sent), refused: 1, ..BusCounters::default() });
+    let mut all = drain(&wire);
+    // Any later call hands over what waits.
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert_eq!(bus.queued(), 0);
+    all.extend(drain(&wire));
+    assert_eq!(all, (0..sent).map(frame).collect::<Vec<_>>());
+}
+
+#[test]
+fn waiting_frames_go_out_while_a_receive_waits() {
+    let (mut bus, wire) = bus(&spec(3));
+    while bus.queued() < 3 {
+        bus.send(&frame(0)).unwrap();
+    }
+    let far = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(5));
+        drain(&wire);
+        // Only now is there room for the queue; its first frame is the sign to answer.
+        loop {
+            if !drain(&wire).is_empty() {
+                put(&wire, &frame(42));
+                return;
+            }
+            std::thread::yield_now();
+        }
+    });
+    assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(42));
+    far.join().unwrap();
+}
+
+#[test]
+fn without_a_queue_a_full_kernel_refuses_at_once() {
+    let (mut bus, _wire) = bus(&spec(0));
+    let mut sent = 0;
+    let refused = loop {
+        match bus.send(&frame(1)) {
+            Ok(()) => sent += 1,
+            Err(e) => break e,
+        }
+    };
+    assert_eq!((refused, bus.counters().sent), (SendError::Full, sent));
+}
+
+#[test]
+fn received_frames_carry_a_monotonic_time_that_is_not_in_the_future() {
+    let (mut bus, wire) = bus(&spec(1));
+    let before = monotonic_ns();
+    put(&wire, &frame(7));
+    let received = bus.receive(WAIT).unwrap().unwrap();
+    assert_eq!(received.frame, frame(7));
+    // A tick of the coarse wall clock may lie between the two.
+    assert!(received.time_ns + 10_000_000 >= before && received.time_ns <= monotonic_ns());
+}
+
+#[test]
+fn error_frames_change_the_state_of_all_handles_and_are_no_frames() {
+    let (mut bus, wire) = bus(&spec(4));
+    MAY_RECONNECT.set(true);
+    let mut sender = bus.duplicate().unwrap();
+    put_error(&wire, 0x204, [0, 0x08, 0, 0, 0, 0, 100, 2]);
+    put(&wire, &frame(1));
+    assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(1));
+    assert_eq!((bus.state(), bus.error_counters()), (BusState::ErrorWarning, (100, 2)));
+    put_error(&wire, 0x40, [0; 8]);
+    assert_eq!(bus.receive(WAIT), Err(ReceiveError::Bus(BusState::BusOff)));
+    assert_eq!(sender.send(&frame(2)), Err(SendError::Bus(BusState::BusOff)));
+    assert_eq!(bus.receive(Duration::from_millis(3)), Err(ReceiveError::Bus(BusState::BusOff)));
+    put_error(&wire, 0x100, [0; 8]);
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert_eq!(sender.send(&frame(2)), Ok(()));
+    assert_eq!(bus.counters().errors, 3);
+}
+
+#[test]
+fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
+    MAY_RECONNECT.set(false);
+    let (mut bus, _wire) = bus(&spec(8));
+    bus.set_filters(&[]).unwrap_err(); // a local socket has no CAN filters
+    while bus.queued() < 8 {
+        bus.send(&frame(1)).unwrap();
+    }
+    let sent = bus.counters().sent;
+    bus.lose_link();
+    assert_eq!((bus.state(), bus.queued()), (BusState::Down, 0));
+    assert_eq!((bus.counters().sent, bus.counters().refused), (sent - 8, 8));
+    assert_eq!(bus.send(&frame(2)), Err(SendError::Bus(BusState::Down)));
+    assert_eq!(bus.receive(WAIT), Err(ReceiveError::Bus(BusState::Down)), "the change is reported at once");
+    assert_eq!(bus.receive(Duration::from_millis(20)), Err(ReceiveError::Bus(BusState::Down)));
+    assert_eq!(bus.backoff_ns, 4_000_000, "the longest interval");
+    MAY_RECONNECT.set(true);
+    assert_eq!(bus.receive(Duration::from_millis(20)), Ok(None));
+    assert_eq!(bus.state(), BusState::ErrorActive);
+    let wire = WIRE.with(|w| w.borrow_mut().pop()).unwrap();
+    assert_eq!(drain(&wire), [], "old frames came out after the loss");
+    bus.send(&frame(3)).unwrap();
+    assert_eq!(drain(&wire), [frame(3)]);
+}
+
+#[test]
+fn with_restart_never_a_lost_link_stays_lost() {
+    MAY_RECONNECT.set(true);
+    let (mut bus, _wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
+    bus.lose_link();
+    assert_eq!(bus.receive(WAIT), Err(ReceiveError::Bus(BusState::Down)));
+    assert_eq!(bus.receive(Duration::from_millis(20)), Err(ReceiveError::Bus(BusState::Down)));
+}
+
+#[test]
+fn a_storm_of_error_frames_does_not_hold_a_poll() {
+    let (mut bus, wire) = bus(&spec(1));
+    for _ in 0..100 {
+        put_error(&wire, 0x88, [0; 8]);
+    }
+    put(&wire, &frame(1));
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert_eq!(bus.receive(Duration::ZERO).unwrap().unwrap().frame, frame(1));
+    assert_eq!(bus.counters().errors, 100);
+}
+
+#[test]
+fn damaged_datagrams_are_counted_and_skipped() {
+    let (mut bus, wire) = bus(&spec(1));
+    for len in [1, 15, 17, 71, 100] {
+        socket::send(&wire, &vec![0xff; len]).unwrap();
+    }
+    put(&wire, &frame(1));
+    assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(1));
+    assert_eq!(bus.counters().errors, 5);
+}
+
+#[test]
+fn interface_names_that_the_kernel_cannot_hold_are_refused() {
+    for name in ["", "sixteen-bytes-ok", "a/b", "a b", "a\0b"] {
+        let spec = BusSpec::new(BusKind::Socketcan, name);
+        assert!(matches!(SocketCanBus::open(&spec), Err(OpenError::Name(_))), "{name:?}");
+    }
+    assert_eq!(InterfaceName::new("fifteen-bytes-x").unwrap().as_str(), "fifteen-bytes-x");
+}
+
+#[test]
+fn every_refusal_of_the_kernel_has_a_reason_of_its_own() {
+    let name = InterfaceName::new("can9").unwrap();
+    let reason = |e: i32| Refusal::from_io("bind", &io::Error::from_raw_os_error(e)).into_error(name);
+    assert!(matches!(reason(libc::EAFNOSUPPORT), OpenError::NoCan { .. }));
+    assert!(matches!(reason(libc::EPROTONOSUPPORT), OpenError::NoCan { .. }));
+    assert!(matches!(reason(libc::ENODEV), OpenError::Missing { .. }));
+    assert!(matches!(reason(libc::ENETDOWN), OpenError::Down { .. }));
+    assert!(matches!(reason(libc::EPERM), OpenError::Permission { .. }));
+    assert!(reason(libc::EIO).to_string().starts_with("CAN interface can9: bind: "));
+    assert!(Refusal::Mtu(16).into_error(name).to_string().contains("MTU of 16 (expected 72)"));
+}
+
+#[test]
+fn sockets_are_not_inherited_by_children() {
+    let (bus, _wire) = bus(&spec(1));
+    let fd = bus.socket.as_ref().unwrap().as_raw_fd();
+    // SAFETY: a plain query of a live descriptor.
+    assert_ne!(unsafe { libc::fcntl(fd, libc::F_GETFD) } & libc::FD_CLOEXEC, 0);
+}

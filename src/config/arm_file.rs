@@ -1,0 +1,347 @@
+//! `[arm]`: reading and checking the arm.
+
+use super::arm::{ArmConfig, ChordRule, PayloadConfig, Routing, SegmentConfig, StrainRule};
+use super::error::ConfigError;
+use super::reader::{self, Document, Section};
+use super::schema::{Key, Kind, Length, Range, TableSpec};
+use std::path::Path;
+use std::rc::Rc;
+
+/// `[arm]`.
+pub static ARM: TableSpec = TableSpec {
+    header: "[arm]",
+    name: "arm",
+    about: "The arm: base, cables' limits, integrator, and its segments from base to tip.",
+    keys: &[
+        Key::required(
+            "name",
+            Kind::Text(32),
+            "",
+            "Name; part of the names of its shared-memory services: letters, digits, `-`, `_`.",
+        ),
+        Key::default(
+            "base_position_m",
+            Kind::Floats(Length::Exactly(3), Range::closed(-100.0, 100.0)),
+            "m",
+            "[0.0, 0.0, 0.0]",
+            "Position of the clamped base node, base frame.",
+        ),
+        Key::default(
+            "base_quaternion",
+            Kind::Quaternion,
+            "",
+            "[0.7071067811865476, 0.0, 0.7071067811865476, 0.0]",
+            "Orientation of the base node, body to base frame; local x is the backbone's tangent. The default points it to -z.",
+        ),
+        Key::default(
+            "gravity_mps2",
+            Kind::Floats(Length::Exactly(3), Range::closed(-100.0, 100.0)),
+            "m/s^2",
+            "[0.0, 0.0, 0.0]",
+            "Gravity, base frame; none in the paper.",
+        ),
+        Key::default(
+            "damping_mass_1ps",
+            Kind::Float(Range::closed(0.0, 1000.0)),
+            "1/s",
+            "0.0",
+            "Mass-proportional damping.",
+        ),
+        Key::default(
+            "chord",
+            Kind::Choice(&["simpson", "trapezoid"]),
+            "",
+            "\"simpson\"",
+            "How an element's chord follows from its tangents. Stiffness is not transferable between the two.",
+        ),
+        Key::default(
+            "strain",
+            Kind::Choice(&["vector_part", "logarithm"]),
+            "",
+            "\"vector_part\"",
+            "How an element's curvature follows from the quaternions of its nodes.",
+        ),
+        Key::default(
+            "routing",
+            Kind::Choice(&["local", "through"]),
+            "",
+            "\"local\"",
+            "`local`: a segment's cables act from its own base disk, before it they run in sheaths; `through`: they run through holes in every disk from the robot's base on.",
+        ),
+        Key::default(
+            "rho_inf",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.8",
+            "Spectral radius of the generalised-alpha integrator.",
+        ),
+        Key::default(
+            "tension_n_min",
+            Kind::Float(Range::closed(0.0, 1e5)),
+            "N",
+            "0.0",
+            "Least tension of every cable; above 0 on hardware, so that no cable goes slack.",
+        ),
+        Key::required("tension_n_max", Kind::Float(Range::above(0.0, 1e5)), "N", "Largest tension of every cable."),
+        Key::optional(
+            "tension_rate_npsmax",
+            Kind::Float(Range::above(0.0, 1e7)),
+            "N/s",
+            "unlimited",
+            "Largest change of a tension per second; part of each tick's box.",
+        ),
+        Key::default(
+            "payload_mass_kg",
+            Kind::Float(Range::closed(0.0, 1000.0)),
+            "kg",
+            "0.0",
+            "Point mass at the last node.",
+        ),
+        Key::optional(
+            "segment_count",
+            Kind::Integer(1, 8),
+            "",
+            "one per `[[arm.segments]]`",
+            "Number of equal segments, all as `[arm.segment_defaults]` says.",
+        ),
+        Key::optional(
+            "segment_defaults",
+            Kind::Table(&SEGMENT_DEFAULTS),
+            "",
+            "none",
+            "What the segments have in common.",
+        ),
+        Key::optional(
+            "segments",
+            Kind::Tables(Length::Between(1, 8), &SEGMENT),
+            "",
+            "none",
+            "The segments, base to tip, each with what differs from the defaults; give this or `segment_count`, or both with the same number.",
+        ),
+    ],
+};
+
+const POSITIVE_LENGTH: Kind = Kind::Float(Range::above(0.0, 10.0));
+
+/// Keys of a segment; the same in the defaults and in each segment.
+const SEGMENT_KEYS: &[Key] = &[
+    Key::required("length_m", POSITIVE_LENGTH, "m", "Backbone length without the connector."),
+    Key::required("elements", Kind::Integer(1, 50), "", "Number of beam elements, each with a disk at its end."),
+    Key::required("bending_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "EI."),
+    Key::required("torsional_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "GJ."),
+    Key::required(
+        "damping_stiffness_s",
+        Kind::Float(Range::closed(0.0, 10.0)),
+        "s",
+        "Stiffness-proportional damping beta; planning needs 0.03 s or more.",
+    ),
+    Key::required("disk_mass_kg", Kind::Float(Range::above(0.0, 100.0)), "kg", "Mass of one disk."),
+    Key::required(
+        "disk_radius_m",
+        POSITIVE_LENGTH,
+        "m",
+        "Radius of a disk: its inertia, and the body's default radius.",
+    ),
+    Key::required("disk_thickness_m", POSITIVE_LENGTH, "m", "Thickness of a disk."),
+    Key::required(
+        "backbone_mass_kgpm",
+        Kind::Float(Range::closed(0.0, 100.0)),
+        "kg/m",
+        "Backbone mass per length, lumped at the nodes.",
+    ),
+    Key::required("backbone_radius_m", POSITIVE_LENGTH, "m", "Backbone radius, for its rotary inertia."),
+    Key::default(
+        "connector_length_m",
+        Kind::Float(Range::closed(0.0, 10.0)),
+        "m",
+        "0.0",
+        "Rigid connector behind the end disk; the last segment has none, whatever the defaults say.",
+    ),
+    Key::default(
+        "connector_mass_kg",
+        Kind::Float(Range::closed(0.0, 100.0)),
+        "kg",
+        "0.0",
+        "Mass that the connector adds at the end disk; the last segment has none.",
+    ),
+    Key::required("hole_radius_m", POSITIVE_LENGTH, "m", "Radius of the circle of cable holes."),
+    Key::optional(
+        "cables",
+        Kind::Integer(3, 12),
+        "",
+        "as many as `hole_angles_deg`",
+        "Number of cables, equally spaced.",
+    ),
+    Key::default(
+        "hole_start_deg",
+        Kind::Float(Range::closed(-360.0, 360.0)),
+        "deg",
+        "0.0",
+        "Angle of cable 1 from local y towards local z, with `cables`.",
+    ),
+    Key::default(
+        "hole_offset_deg",
+        Kind::Float(Range::closed(-360.0, 360.0)),
+        "deg",
+        "0.0",
+        "Added to all hole angles of the segment, so that segments can differ by it alone.",
+    ),
+    Key::optional(
+        "hole_angles_deg",
+        Kind::Floats(Length::Between(3, 12), Range::closed(-720.0, 720.0)),
+        "deg",
+        "equally spaced",
+        "Angle of each cable's hole, in place of `cables` and `hole_start_deg`.",
+    ),
+];
+
+static SEGMENT_DEFAULTS: TableSpec = TableSpec {
+    header: "[arm.segment_defaults]",
+    name: "segment_defaults",
+    about: "What the segments have in common: the keys of `[[arm.segments]]`. A key is required in one of the two places.",
+    keys: SEGMENT_KEYS,
+};
+
+static SEGMENT: TableSpec = TableSpec {
+    header: "[[arm.segments]]",
+    name: "segments",
+    about: "One segment, base to tip. A key that is absent is taken from `[arm.segment_defaults]`.",
+    keys: SEGMENT_KEYS,
+};
+
+/// Builds the arm from an opened document.
+pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
+    let table = document.table(&ARM);
+    let name = table.text("name");
+    if !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
+        table.refuse("name", "contains other characters", "permitted: letters, digits, `-` and `_`");
+    }
+    let arm = ArmConfig {
+        name,
+        base_position_m: table.vector("base_position_m"),
+        base_quaternion: table.quaternion("base_quaternion"),
+        gravity_mps2: table.vector("gravity_mps2"),
+        damping_mass_1ps: table.float("damping_mass_1ps"),
+        chord: if table.choice("chord") == "trapezoid" { ChordRule::Trapezoid } else { ChordRule::Simpson },
+        strain: if table.choice("strain") == "logarithm" { StrainRule::Logarithm } else { StrainRule::VectorPart },
+        routing: if table.choice("routing") == "through" { Routing::Through } else { Routing::Local },
+        rho_inf: table.float("rho_inf"),
+        tension_n_min: table.float("tension_n_min"),
+        tension_n_max: table.float("tension_n_max"),
+        tension_rate_npsmax: table.float_opt("tension_rate_npsmax").unwrap_or(f64::INFINITY),
+        payload: PayloadConfig { mass_kg: table.float("payload_mass_kg") },
+        segments: segments(&table),
+    };
+    if arm.tension_n_min >= arm.tension_n_max {
+        table.refuse(
+            "tension_n_min",
+            "not below `tension_n_max`",
+            &format!("permitted: 0 to less than {} N", arm.tension_n_max),
+        );
+    }
+    arm
+}
+
+fn segments(table: &Section<'_>) -> Vec<SegmentConfig> {
+    let defaults = Rc::new(table.table("segment_defaults"));
+    let listed = table.tables("segments", Some(&defaults));
+    let count = table.count_opt("segment_count");
+    match (count, listed.len()) {
+        (Some(count), given) if given > 0 && count != given => {
+            let help = format!("permitted: {given}, the number of [[arm.segments]], or leave one of the two out");
+            table.refuse("segment_count", format!("but there are {given} [[arm.segments]]"), &help);
+        }
+        (None, 0) if table.is_present() && !table.has("segment_count") && !table.has("segments") => {
+            let help =
+                "permitted: `segment_count` 1 to 8 with [arm.segment_defaults], or 1 to 8 tables [[arm.segments]]";
+            table.refuse("segments", "the arm has no segments", help);
+        }
+        _ => {}
+    }
+    if listed.is_empty() {
+        let count = count.unwrap_or(0);
+        let one = |index| table.absent(&SEGMENT, format!("arm.segments[{index}]"), Some(&defaults));
+        (0..count).map(|index| segment(&one(index), index + 1 == count)).collect()
+    } else {
+        listed.iter().enumerate().map(|(index, section)| segment(section, index + 1 == listed.len())).collect()
+    }
+}
+
+fn segment(section: &Section<'_>, last: bool) -> SegmentConfig {
+    let connector = |name: &'static str| {
+        let value = section.float(name);
+        if !last {
+            return value;
+        }
+        if section.has_own(name) && value != 0.0 {
+            section.refuse(name, "the last segment has no connector behind it", "permitted at the last segment: 0");
+        }
+        0.0
+    };
+    let config = SegmentConfig {
+        length_m: section.float("length_m"),
+        elements: section.count("elements"),
+        bending_stiffness_nm2: section.float("bending_stiffness_nm2"),
+        torsional_stiffness_nm2: section.float("torsional_stiffness_nm2"),
+        damping_stiffness_s: section.float("damping_stiffness_s"),
+        disk_mass_kg: section.float("disk_mass_kg"),
+        disk_radius_m: section.float("disk_radius_m"),
+        disk_thickness_m: section.float("disk_thickness_m"),
+        backbone_mass_kgpm: section.float("backbone_mass_kgpm"),
+        backbone_radius_m: section.float("backbone_radius_m"),
+        connector_length_m: connector("connector_length_m"),
+        connector_mass_kg: connector("connector_mass_kg"),
+        hole_radius_m: section.float("hole_radius_m"),
+        hole_angles_rad: hole_angles(section),
+    };
+    if config.hole_radius_m > config.disk_radius_m {
+        let help = format!("permitted: > 0 and <= {} m", config.disk_radius_m);
+        section.refuse("hole_radius_m", "the holes lie outside the disk (`disk_radius_m`)", &help);
+    }
+    config
+}
+
+fn hole_angles(section: &Section<'_>) -> Vec<f64> {
+    let offset = section.float("hole_offset_deg");
+    // A segment's own choice between the two ways overrides the other way in the defaults.
+    for name in ["cables", "hole_start_deg", "hole_angles_deg"] {
+        section.ignore_behind(name);
+    }
+    let explicit = section.has_own("hole_angles_deg") || (section.has("hole_angles_deg") && !section.has_own("cables"));
+    if explicit {
+        if section.has_own("hole_angles_deg") && section.has_own("cables") {
+            section.refuse("cables", "`hole_angles_deg` is given as well", "give one of the two");
+        }
+        return section.floats("hole_angles_deg").iter().map(|angle| (angle + offset).to_radians()).collect();
+    }
+    let start = section.float("hole_start_deg");
+    let Some(cables) = section.count_opt("cables") else {
+        if section.is_clean() {
+            section.refuse(
+                "cables",
+                "neither `cables` nor `hole_angles_deg` is given",
+                "permitted: `cables` 3 to 12, or 3 to 12 angles",
+            );
+        }
+        return Vec::new();
+    };
+    (0..cables).map(|cable| (start + offset + 360.0 / cables as f64 * cable as f64).to_radians()).collect()
+}
+
+impl ArmConfig {
+    /// Reads the table `[arm]` of one file; other tables in it are not looked at.
+    ///
+    /// # Errors
+    /// Everything wrong in the file, as [`ConfigError`].
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        reader::read_files(&[path.to_path_buf()], super::KNOWN_TABLES, arm)
+    }
+
+    /// Reads the table `[arm]` of a text; `name` stands for the file in messages.
+    ///
+    /// # Errors
+    /// Everything wrong in the text, as [`ConfigError`].
+    pub fn parse(name: &str, text: &str) -> Result<Self, ConfigError> {
+        reader::read(vec![(name.to_owned(), text.to_owned())], super::KNOWN_TABLES, arm)
+    }
+}

@@ -1,0 +1,159 @@
+//! `[observer]`: the state estimate from cable lengths (design, section 6).
+
+use super::reader::Section;
+use super::schema::{Key, Kind, Range, TableSpec};
+use serde::Serialize;
+
+/// Which observer runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObserverKind {
+    /// The model with a passive correction in cable space: stable with friction, the default.
+    Passive,
+    /// The reduced Kalman filter: more accurate, not robust against cable friction.
+    Kalman,
+}
+
+/// Settings of the observer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ObserverConfig {
+    /// Which one.
+    pub kind: ObserverKind,
+    /// Spring K of the correction as a multiple of EI/L.
+    pub stiffness_ratio: f64,
+    /// Damper over spring, D/K (s).
+    pub damping_s: f64,
+    /// Time constant tau_f of the Maxwell damper (s).
+    pub filter_time_s: f64,
+    /// Time constant T_b of the disturbance estimate (s).
+    pub disturbance_time_s: f64,
+    /// The estimate has settled when every |z| is below this (rad) ...
+    pub settle_innovation_rad: f64,
+    /// ... and every bend angle's rate below this (rad/s) ...
+    pub settle_rate_radps: f64,
+    /// ... for this long (s).
+    pub settle_time_s: f64,
+    /// Time after which an estimate that has not settled is a fault (s).
+    pub settle_timeout_s: f64,
+    /// |z| beyond this is a fault (rad).
+    pub innovation_bound_rad: f64,
+    /// |z| growing by this within `innovation_window_s` is a fault (rad).
+    pub innovation_growth_rad: f64,
+    /// Window of the growth test (s).
+    pub innovation_window_s: f64,
+    /// Ticks from a measurement until the tensions answering it act beyond the ordinary one-tick cycle;
+    /// compensated by model steps with the tensions already sent.
+    pub latency_ticks: usize,
+}
+
+/// `[observer]`.
+pub static OBSERVER: TableSpec = TableSpec {
+    header: "[observer]",
+    name: "observer",
+    about: "The state estimate from cable lengths. `z` are the bend angles that model and measurement differ by, two per segment.",
+    keys: &[
+        Key::default(
+            "kind",
+            Kind::Choice(&["passive", "kalman"]),
+            "",
+            "\"passive\"",
+            "`passive`: the model with a passive correction, stable with cable friction; `kalman`: the reduced Kalman filter, more accurate without friction.",
+        ),
+        Key::default(
+            "stiffness_ratio",
+            Kind::Float(Range::above(0.0, 10.0)),
+            "EI/L",
+            "3.0",
+            "Spring K of the correction; 1 to 3 matches the arm's impedance, much more leaves torsion undamped.",
+        ),
+        Key::default("damping_s", Kind::Float(Range::above(0.0, 20.0)), "s", "2.0", "Damper over spring, D/K."),
+        Key::default(
+            "filter_time_s",
+            Kind::Float(Range::above(0.0, 10.0)),
+            "s",
+            "0.3",
+            "Time constant of the Maxwell damper, in place of measured rates.",
+        ),
+        Key::default(
+            "disturbance_time_s",
+            Kind::Float(Range::closed(0.3, 100.0)),
+            "s",
+            "1.0",
+            "Time constant of the disturbance estimate; much faster destabilises it.",
+        ),
+        Key::default(
+            "settle_innovation_rad",
+            Kind::Float(Range::above(0.0, 1.0)),
+            "rad",
+            "0.01",
+            "The estimate has settled when every |z| is below this ...",
+        ),
+        Key::default(
+            "settle_rate_radps",
+            Kind::Float(Range::above(0.0, 1.0)),
+            "rad/s",
+            "0.01",
+            "... and every bend angle's rate below this ...",
+        ),
+        Key::default("settle_time_s", Kind::Float(Range::closed(0.0, 60.0)), "s", "0.5", "... for this long."),
+        Key::default(
+            "settle_timeout_s",
+            Kind::Float(Range::above(0.0, 600.0)),
+            "s",
+            "20.0",
+            "Time after which an estimate that has not settled is a fault; longer than `settle_time_s`.",
+        ),
+        Key::default(
+            "innovation_bound_rad",
+            Kind::Float(Range::above(0.0, 3.0)),
+            "rad",
+            "0.3",
+            "|z| beyond this is a fault: encoder, broken or slack cable.",
+        ),
+        Key::default(
+            "innovation_growth_rad",
+            Kind::Float(Range::above(0.0, 3.0)),
+            "rad",
+            "0.15",
+            "|z| growing by this within the window is a fault.",
+        ),
+        Key::default(
+            "innovation_window_s",
+            Kind::Float(Range::above(0.0, 10.0)),
+            "s",
+            "0.1",
+            "Window of the growth test.",
+        ),
+        Key::default(
+            "latency_ticks",
+            Kind::Integer(0, 20),
+            "ticks",
+            "0",
+            "Ticks between a measurement and the effect of its answer beyond the ordinary cycle; compensated by model steps.",
+        ),
+    ],
+};
+
+/// Reads `[observer]`.
+pub(super) fn read(table: &Section<'_>) -> ObserverConfig {
+    let config = ObserverConfig {
+        kind: if table.choice("kind") == "kalman" { ObserverKind::Kalman } else { ObserverKind::Passive },
+        stiffness_ratio: table.float("stiffness_ratio"),
+        damping_s: table.float("damping_s"),
+        filter_time_s: table.float("filter_time_s"),
+        disturbance_time_s: table.float("disturbance_time_s"),
+        settle_innovation_rad: table.float("settle_innovation_rad"),
+        settle_rate_radps: table.float("settle_rate_radps"),
+        settle_time_s: table.float("settle_time_s"),
+        settle_timeout_s: table.float("settle_timeout_s"),
+        innovation_bound_rad: table.float("innovation_bound_rad"),
+        innovation_growth_rad: table.float("innovation_growth_rad"),
+        innovation_window_s: table.float("innovation_window_s"),
+        latency_ticks: table.count("latency_ticks"),
+    };
+    if config.settle_timeout_s <= config.settle_time_s {
+        let help = format!("permitted: > {} s (`settle_time_s`) and <= 600 s", config.settle_time_s);
+        table.refuse("settle_timeout_s", "not longer than `settle_time_s`", &help);
+    }
+    config
+}

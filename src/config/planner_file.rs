@@ -1,0 +1,327 @@
+//! `[planner]`: reading and checking the planner's settings, for the daemon and for scenarios.
+//!
+//! The two have different defaults for good reason: a scenario reproduces the paper's open loop (hard distance
+//! constraint, Newton to convergence, no time budget), the daemon a receding horizon on hardware.
+
+use super::planner::{BarrierConfig, BodyModel, PlannerConfig, SwarmConfig, WarningBranch};
+use super::reader::Section;
+use super::schema::{Key, Kind, Length, Range, TableSpec};
+
+/// Names of the branches in files.
+pub(super) const WARNINGS: &[&str] = &["swarm", "seeded", "complementarity", "standard_swarm"];
+
+/// The branch of a name out of [`WARNINGS`].
+pub(super) fn warning(name: &str) -> WarningBranch {
+    match name {
+        "swarm" => WarningBranch::Swarm,
+        "complementarity" => WarningBranch::Complementarity,
+        "standard_swarm" => WarningBranch::StandardSwarm,
+        _ => WarningBranch::Seeded,
+    }
+}
+
+const POSITIVE_SECONDS: Kind = Kind::Float(Range::above(0.0, 10.0));
+
+const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static TableSpec) -> [Key; 12] {
+    [
+        Key::default(
+            "lookahead_s",
+            POSITIVE_SECONDS,
+            "s",
+            "0.1",
+            "Lookahead eta: the implicit step that is planned. The rate weights are made for 0.1 s.",
+        ),
+        Key::default(
+            "newton_iterations_max",
+            Kind::Integer(1, 1000),
+            "",
+            newton,
+            "Most Newton iterations of the outer loop per step.",
+        ),
+        Key::default(
+            "newton_tolerance",
+            Kind::Float(Range::above(0.0, 1.0)),
+            "m, 1",
+            "1e-8",
+            "The outer loop stops when the norm of the coordinates' correction is below this.",
+        ),
+        Key::default(
+            "warning",
+            Kind::Choice(WARNINGS),
+            "",
+            "\"seeded\"",
+            "What plans near obstacles: the paper's swarm; the swarm with the complementarity solution among its seeds; that solution alone; the standard swarm for comparison.",
+        ),
+        Key::default("avoidance", Kind::Bool, "", "true", "`false` plans without regard to obstacles."),
+        Key::default(
+            "body",
+            Kind::Choice(&["arm", "points"]),
+            "",
+            "\"arm\"",
+            "Where distances are measured from: the backbone's whole curve, or the paper's points on it.",
+        ),
+        Key::default(
+            "clearance_m",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "m",
+            clearance,
+            "d_s as a clearance between surfaces; the paper's d_s is the ball's radius plus this.",
+        ),
+        Key::default(
+            "warning_distance_m",
+            Kind::Float(Range::above(0.0, 1.0)),
+            "m",
+            "0.01",
+            "d_w: margin on top of the clearance inside which the warning branch plans.",
+        ),
+        Key::default(
+            "warning_hysteresis_m",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "m",
+            "0.005",
+            "Extra margin that must be regained before the safe branch plans again.",
+        ),
+        Key::optional(
+            "budget_s",
+            POSITIVE_SECONDS,
+            "s",
+            "work counts only (scenario); what the period leaves (daemon)",
+            "Time budget of one planning step.",
+        ),
+        Key::optional(
+            "lead_s",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "s",
+            "computed from the weights",
+            "Lead added to the target's sampling time, against the lag of the rate weights.",
+        ),
+        Key::optional("swarm", Kind::Table(swarm), "", "its defaults", "The particle swarm."),
+    ]
+}
+
+const DAEMON: [Key; 12] = shared("2", "0.01", &SWARM);
+const SCENARIO: [Key; 12] = shared("30", "0.0", &SCENARIO_SWARM);
+
+macro_rules! with_shared {
+    ($shared:expr, $($key:expr),+ $(,)?) => {
+        &[
+            $shared[0], $shared[1], $shared[2], $shared[3], $shared[4], $shared[5], $shared[6], $shared[7], $shared[8],
+            $shared[9], $shared[10], $shared[11], $($key),+
+        ]
+    };
+}
+
+/// `[planner]` of the daemon.
+pub static PLANNER: TableSpec = TableSpec {
+    header: "[planner]",
+    name: "planner",
+    about: "The combined planner, as the daemon runs it: a receding horizon with a barrier. The period is `[loop]`'s.",
+    keys: with_shared!(
+        DAEMON,
+        Key::optional(
+            "body_radius_m",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "m",
+            "the largest disk's radius",
+            "The body's radius around the backbone."
+        ),
+        Key::default(
+            "barrier",
+            Kind::Bool,
+            "",
+            "true",
+            "Approach obstacles by the discrete barrier `d_next - d_s >= (1 - gamma) (d - d_s)`; `false` leaves the hard constraint, on which the arm bounces."
+        ),
+        BARRIER_GAMMA,
+        BARRIER_ACTIVATION,
+    ),
+};
+
+/// `[planner]` of a scenario.
+pub static SCENARIO_PLANNER: TableSpec = TableSpec {
+    header: "[planner] (scenario)",
+    name: "planner",
+    about: "The combined planner in an open-loop run; the defaults are the paper's setting.",
+    keys: with_shared!(
+        SCENARIO,
+        Key::optional(
+            "period_s",
+            POSITIVE_SECONDS,
+            "s",
+            "the lookahead",
+            "Step of the open-loop run; the lookahead must be a whole multiple of it."
+        ),
+        Key::default(
+            "body_radius_m",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "m",
+            "0.0",
+            "The body's radius around the backbone; 0 reproduces the paper."
+        ),
+        Key::default(
+            "barrier",
+            Kind::Bool,
+            "",
+            "false",
+            "Approach obstacles by the discrete barrier; `false` is the paper's hard constraint."
+        ),
+        BARRIER_GAMMA,
+        BARRIER_ACTIVATION,
+    ),
+};
+
+const BARRIER_GAMMA: Key = Key::default(
+    "barrier_gamma",
+    Kind::Float(Range::above(0.0, 1.0)),
+    "",
+    "0.3",
+    "Share of the remaining distance that one lookahead may use up; 0.2 to 0.3 is smooth, 0.1 infeasible in the tip example.",
+);
+const BARRIER_ACTIVATION: Key = Key::default(
+    "barrier_activation_m",
+    Kind::Float(Range::above(0.0, 10.0)),
+    "m",
+    "0.15",
+    "Surface distance above the clearance from which the barrier acts.",
+);
+
+const fn swarm_keys() -> [Key; 11] {
+    let pair = Kind::Floats(Length::Exactly(2), Range::closed(0.0, 4.0));
+    let particles = Kind::Integer(0, 10_000);
+    [
+        Key::default("particles_normal", particles, "", "30", "delta_1: particles from N(u_{k-1}, sigma^2)."),
+        Key::default("particles_uniform", particles, "", "10", "delta_2: particles from U(u_min, u_max)."),
+        Key::default(
+            "sigma_n",
+            Kind::Float(Range::above(0.0, 1e4)),
+            "N",
+            "2.0",
+            "sigma: the paper gives none; tensions change by some 0.1 N to a few N per 0.1 s step in its examples.",
+        ),
+        Key::default(
+            "chaotic_min",
+            particles,
+            "",
+            "2",
+            "phi_1: fewest particles moved by the logistic map, when all are feasible.",
+        ),
+        Key::default(
+            "chaotic_max",
+            particles,
+            "",
+            "8",
+            "phi_2: most particles moved by the logistic map, when none is feasible; at most the number of particles.",
+        ),
+        Key::default(
+            "inertia",
+            pair,
+            "",
+            "[0.9, 0.4]",
+            "Inertia weight of (29) at the first and the last sweep, linear between: the usual schedule of the literature.",
+        ),
+        Key::default(
+            "acceleration",
+            pair,
+            "",
+            "[2.0, 2.0]",
+            "Acceleration coefficients of (29) towards a particle's own and the swarm's best position: the original algorithm's.",
+        ),
+        Key::default("sweeps_max", Kind::Integer(1, 100_000), "", "60", "Most sweeps per call."),
+        Key::default(
+            "stall_sweeps",
+            Kind::Integer(1, 100_000),
+            "",
+            "15",
+            "Sweeps without an improvement that counts, after which it stops.",
+        ),
+        Key::default(
+            "tolerance",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "1e-6",
+            "Relative improvement that counts.",
+        ),
+        Key::default("penalty", Kind::Float(Range::above(0.0, 1e20)), "", "1e12", "Penalty factor nu of (28)."),
+    ]
+}
+
+const SWARM_KEYS: [Key; 11] = swarm_keys();
+
+static SWARM: TableSpec = TableSpec {
+    header: "[planner.swarm]",
+    name: "swarm",
+    about: "The particle swarm, Algorithm 1, (27)-(36).",
+    keys: &SWARM_KEYS,
+};
+
+static SCENARIO_SWARM: TableSpec = TableSpec {
+    header: "[planner.swarm] (scenario)",
+    name: "swarm",
+    about: "The particle swarm; the same keys and defaults as the daemon's.",
+    keys: &SWARM_KEYS,
+};
+
+fn swarm(table: &Section<'_>) -> SwarmConfig {
+    let config = SwarmConfig {
+        particles_normal: table.count("particles_normal"),
+        particles_uniform: table.count("particles_uniform"),
+        sigma_n: table.float("sigma_n"),
+        chaotic_min: table.count("chaotic_min"),
+        chaotic_max: table.count("chaotic_max"),
+        inertia: table.vector("inertia"),
+        acceleration: table.vector("acceleration"),
+        sweeps_max: table.count("sweeps_max"),
+        stall_sweeps: table.count("stall_sweeps"),
+        tolerance: table.float("tolerance"),
+        penalty: table.float("penalty"),
+    };
+    let particles = config.particles_normal + config.particles_uniform;
+    if config.chaotic_max > particles {
+        table.refuse("chaotic_max", "more than there are particles", &format!("permitted: 0 to {particles}"));
+    }
+    if config.chaotic_min > config.chaotic_max {
+        table.refuse("chaotic_min", "more than `chaotic_max`", &format!("permitted: 0 to {}", config.chaotic_max));
+    }
+    config
+}
+
+/// Reads a planner's table. `period_s` is the loop's, `None` in a scenario; `disk_radius_m` the largest of the arm.
+pub(super) fn read(table: &Section<'_>, period_s: Option<f64>, disk_radius_m: f64) -> PlannerConfig {
+    let lookahead_s = table.float("lookahead_s");
+    let period_key = if period_s.is_some() { "lookahead_s" } else { "period_s" };
+    let period_s = period_s.unwrap_or_else(|| table.float_opt("period_s").unwrap_or(lookahead_s));
+    if !is_whole_multiple(lookahead_s, period_s) && lookahead_s.is_finite() && period_s.is_finite() {
+        let message = format!("lookahead {lookahead_s} s is no whole multiple of the period {period_s} s");
+        table.refuse(period_key, message, "permitted: lookahead = period times 1, 2, 3, ... up to 1000");
+    }
+    let body_radius_m = table.float_opt("body_radius_m").unwrap_or(disk_radius_m);
+    let barrier = if table.boolean("barrier") {
+        Some(BarrierConfig { gamma: table.float("barrier_gamma"), activation_m: table.float("barrier_activation_m") })
+    } else {
+        None
+    };
+    let warning_distance_m = table.float("warning_distance_m");
+    PlannerConfig {
+        lookahead_s,
+        period_s,
+        newton_iterations_max: table.count("newton_iterations_max"),
+        newton_tolerance: table.float("newton_tolerance"),
+        warning: warning(table.choice("warning")),
+        avoidance: table.boolean("avoidance"),
+        body: if table.choice("body") == "points" { BodyModel::Points } else { BodyModel::Arm },
+        body_radius_m,
+        clearance_m: table.float("clearance_m"),
+        warning_distance_m,
+        warning_hysteresis_m: table.float("warning_hysteresis_m"),
+        barrier,
+        swarm: swarm(&table.table("swarm")),
+        budget_s: table.float_opt("budget_s"),
+        lead_s: table.float_opt("lead_s"),
+    }
+}
+
+/// True if `whole / part` is 1 to 1000 within 1e-6.
+fn is_whole_multiple(whole: f64, part: f64) -> bool {
+    let ratio = whole / part;
+    (0.5..1000.5).contains(&ratio) && (ratio - ratio.round()).abs() <= 1e-6
+}

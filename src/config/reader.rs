@@ -1,0 +1,756 @@
+//! From TOML text to checked values, through the registry of [`schema`](super::schema).
+//!
+//! A [`Section`] is one table. Its getters take a key's name, look its kind, range and default up in the registry and
+//! return a value; if the value in the file is not permitted they note a [`Problem`] and return a stand-in, so that one
+//! pass finds everything that is wrong. Stand-ins never leave: [`read`] returns the result only if no problem was noted.
+//! Keys that the registry does not know are refused when a section is opened, known keys that nothing asked for (they
+//! belong to another variant) when it is dropped.
+
+use super::error::{ConfigError, Place, Problem, SourceText};
+use super::schema::{Key, Kind, Length, Presence, TableSpec};
+use miette::NamedSource;
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::Arc;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// The open files, and the problems found so far.
+pub struct Document<'a> {
+    files: Vec<(SourceText, &'a DeTable<'a>)>,
+    problems: RefCell<Vec<Problem>>,
+}
+
+/// Reads files from disk and hands them to `build`.
+///
+/// # Errors
+/// A file cannot be read, or anything that [`read`] refuses.
+pub fn read_files<T>(
+    paths: &[PathBuf],
+    known: &[&'static TableSpec],
+    build: impl FnOnce(&Document<'_>) -> T,
+) -> Result<T, ConfigError> {
+    let mut texts = Vec::with_capacity(paths.len());
+    let mut problems = Vec::new();
+    for path in paths {
+        match std::fs::read_to_string(path) {
+            Ok(text) => texts.push((path.display().to_string(), text)),
+            Err(error) => problems.push(Problem {
+                place: None,
+                message: format!("cannot read {}: {error}", path.display()),
+                label: String::new(),
+                help: "give the path of a readable TOML file".into(),
+            }),
+        }
+    }
+    if !problems.is_empty() {
+        let names: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
+        return Err(ConfigError { subject: names.join(", "), problems });
+    }
+    read(texts, known, build)
+}
+
+/// Parses texts (name, content), refuses top-level tables outside `known` and tables that two texts define, and hands
+/// the rest to `build`.
+///
+/// # Errors
+/// Everything wrong that one pass found.
+pub fn read<T>(
+    texts: Vec<(String, String)>,
+    known: &[&'static TableSpec],
+    build: impl FnOnce(&Document<'_>) -> T,
+) -> Result<T, ConfigError> {
+    let subject = texts.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
+    let sources: Vec<SourceText> =
+        texts.into_iter().map(|(name, text)| Arc::new(NamedSource::new(name, text).with_language("TOML"))).collect();
+    let mut problems = Vec::new();
+    let mut tables = Vec::new();
+    for source in &sources {
+        let (table, errors) = DeTable::parse_recoverable(source.inner());
+        problems.extend(errors.iter().map(|error| Problem {
+            place: Some(Place { file: source.clone(), span: error.span().unwrap_or(0..0) }),
+            message: format!("not TOML: {}", error.message()),
+            label: "here".into(),
+            help: "see https://toml.io for the format".into(),
+        }));
+        tables.push(table);
+    }
+    // The remains of a text that is not TOML would only produce problems that are none.
+    if !problems.is_empty() {
+        return Err(ConfigError { subject, problems });
+    }
+    let document = Document {
+        files: sources.iter().cloned().zip(tables.iter().map(Spanned::get_ref)).collect(),
+        problems: RefCell::new(problems),
+    };
+    document.refuse_unknown_tables(known);
+    document.refuse_repeated_tables();
+    let value = build(&document);
+    let problems = document.problems.into_inner();
+    if problems.is_empty() { Ok(value) } else { Err(ConfigError { subject, problems }) }
+}
+
+impl<'a> Document<'a> {
+    /// True if no problem has been noted: the moment for checks across keys, which stand-ins would mislead.
+    pub fn is_clean(&self) -> bool {
+        self.problems.borrow().is_empty()
+    }
+
+    /// Notes a problem that belongs to no place in a file.
+    pub fn note(&self, message: String, help: &str) {
+        self.problems.borrow_mut().push(Problem { place: None, message, label: String::new(), help: help.into() });
+    }
+
+    /// Takes over the problems of files that were read on behalf of this one.
+    pub fn note_all(&self, error: ConfigError) {
+        self.problems.borrow_mut().extend(error.problems);
+    }
+
+    /// True if a file has this top-level table.
+    pub fn has(&self, spec: &TableSpec) -> bool {
+        self.find(spec.name).is_some()
+    }
+
+    /// Opens a top-level table that must be there.
+    pub fn table(&self, spec: &'static TableSpec) -> Section<'_> {
+        if !self.has(spec) {
+            let names: Vec<_> = self.files.iter().map(|(file, _)| file.name()).collect();
+            self.note(
+                format!(
+                    "no table {} in {}",
+                    spec.header,
+                    if names.is_empty() { "no file".into() } else { names.join(", ") }
+                ),
+                spec.about,
+            );
+        }
+        self.table_or_defaults(spec)
+    }
+
+    /// Opens a top-level table; one that is absent reads as its defaults.
+    pub fn table_or_defaults(&self, spec: &'static TableSpec) -> Section<'_> {
+        match self.find(spec.name) {
+            Some((file, key_span, table)) => {
+                Section::open(self, spec, spec.name.to_owned(), Some(Found { table, file, span: key_span }), None)
+            }
+            None => Section::open(self, spec, spec.name.to_owned(), None, None),
+        }
+    }
+
+    /// The keys at a file's top level as a section of their own; for files whose root is one table.
+    pub fn root(&self, spec: &'static TableSpec) -> Section<'_> {
+        let found = self.files.first().map(|(file, table)| Found { table, file, span: 0..0 });
+        Section::open(self, spec, String::new(), found, None)
+    }
+
+    fn find(&self, name: &str) -> Option<(&SourceText, Range<usize>, &DeTable<'a>)> {
+        self.files.iter().find_map(|(file, table)| {
+            let (key, value) = table.get_key_value(name)?;
+            Some((file, key.span(), value.get_ref().as_table()?))
+        })
+    }
+
+    fn refuse_unknown_tables(&self, known: &[&'static TableSpec]) {
+        // A single spec with an empty name is a file whose root is one table: its section refuses unknown keys.
+        if known.iter().any(|spec| spec.name.is_empty()) {
+            return;
+        }
+        for (file, table) in &self.files {
+            for (key, value) in *table {
+                let name = key.get_ref().as_ref();
+                let known_name = known.iter().any(|spec| spec.name == name);
+                if known_name && value.get_ref().is_table() {
+                    continue;
+                }
+                let (message, label) = if known_name {
+                    (format!("`{name}` must be a table, found {}", value.get_ref().type_str()), "not a table")
+                } else {
+                    (format!("unknown table or key `{name}`"), "unknown")
+                };
+                self.problems.borrow_mut().push(Problem {
+                    place: Some(Place { file: file.clone(), span: key.span() }),
+                    message,
+                    label: label.into(),
+                    help: suggestion(name, known.iter().map(|spec| spec.name), "tables"),
+                });
+            }
+        }
+    }
+
+    fn refuse_repeated_tables(&self) {
+        for (later, (file, table)) in self.files.iter().enumerate() {
+            for (key, _) in *table {
+                let name = key.get_ref().as_ref();
+                let first = self.files[..later].iter().find_map(|(file, table)| {
+                    let (key, _) = table.get_key_value(name)?;
+                    Some(Place { file: file.clone(), span: key.span() })
+                });
+                if let Some(first) = first {
+                    self.problems.borrow_mut().push(Problem {
+                        place: Some(Place { file: file.clone(), span: key.span() }),
+                        message: format!("[{name}] stands in {} and again in {}", first, file.name()),
+                        label: "second definition".into(),
+                        help: "a table belongs to one file; leave one of the two out".into(),
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// "did you mean" if a known name is near, and the list of known names.
+fn suggestion(name: &str, known: impl Iterator<Item = &'static str> + Clone, what: &str) -> String {
+    let nearest = known
+        .clone()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(likeness, _)| *likeness > 0.8);
+    let list = known.collect::<Vec<_>>().join(", ");
+    match nearest {
+        Some((_, candidate)) => format!("did you mean `{candidate}`? known {what}: {list}"),
+        None => format!("known {what}: {list}"),
+    }
+}
+
+#[derive(Clone)]
+struct Found<'d> {
+    table: &'d DeTable<'d>,
+    file: &'d SourceText,
+    span: Range<usize>,
+}
+
+/// One table of a file, or the defaults in its place.
+pub struct Section<'d> {
+    document: &'d Document<'d>,
+    spec: &'static TableSpec,
+    path: String,
+    found: Option<Found<'d>>,
+    /// Where keys that this table does not have are looked up before their defaults.
+    fallback: Option<Rc<Section<'d>>>,
+    asked: RefCell<BTreeSet<&'static str>>,
+}
+
+/// A value as found: in a file, or the text of a default.
+struct Value<'s> {
+    value: &'s DeValue<'s>,
+    text: &'s str,
+    place: Option<Place>,
+}
+
+impl<'d> Section<'d> {
+    fn open(
+        document: &'d Document<'d>,
+        spec: &'static TableSpec,
+        path: String,
+        found: Option<Found<'d>>,
+        fallback: Option<Rc<Section<'d>>>,
+    ) -> Self {
+        let section = Self { document, spec, path, found, fallback, asked: RefCell::default() };
+        if let Some(found) = &section.found {
+            for (key, _) in found.table {
+                let name = key.get_ref().as_ref();
+                if spec.key(name).is_none() {
+                    section.push(
+                        Some(Place { file: found.file.clone(), span: key.span() }),
+                        format!("unknown key `{}`", section.path_of(name)),
+                        "unknown key".into(),
+                        suggestion(name, spec.keys.iter().map(|key| key.name), "keys"),
+                    );
+                }
+            }
+        }
+        section
+    }
+
+    /// The whole path of a key, for messages.
+    pub fn path_of(&self, name: &str) -> String {
+        if self.path.is_empty() { name.to_owned() } else { format!("{}.{name}", self.path) }
+    }
+
+    /// True if no problem has been noted in the whole document.
+    pub fn is_clean(&self) -> bool {
+        self.document.is_clean()
+    }
+
+    /// True if the file itself gives the key, in this table or in the one behind it.
+    pub fn has(&self, name: &str) -> bool {
+        self.has_own(name) || self.fallback.as_ref().is_some_and(|fallback| fallback.has(name))
+    }
+
+    /// True if the file gives the key in this table.
+    pub fn has_own(&self, name: &str) -> bool {
+        self.found.as_ref().is_some_and(|found| found.table.contains_key(name))
+    }
+
+    /// True if the table stands in a file.
+    pub fn is_present(&self) -> bool {
+        self.found.is_some()
+    }
+
+    /// Lets a key of the table behind this one stand unread, because this one chose otherwise.
+    pub fn ignore_behind(&self, name: &'static str) {
+        if let Some(fallback) = &self.fallback {
+            fallback.asked.borrow_mut().insert(name);
+        }
+    }
+
+    /// Directory of the file that holds this table; relative paths start there.
+    pub fn directory(&self) -> PathBuf {
+        let name = self.found.as_ref().map_or("", |found| found.file.name());
+        Path::new(name).parent().map(Path::to_path_buf).unwrap_or_default()
+    }
+
+    /// Notes a problem at a key that the registry's range cannot express.
+    pub fn refuse(&self, name: &str, message: impl std::fmt::Display, help: &str) {
+        let place = self.place_of(name);
+        let found = self.text_of(name);
+        let found = if found.is_empty() { String::new() } else { format!(" = {found}") };
+        self.push(place, format!("`{}`{found}: {message}", self.path_of(name)), "refused".into(), help.into());
+    }
+
+    /// A number.
+    pub fn float(&self, name: &'static str) -> f64 {
+        self.float_opt(name).unwrap_or(f64::NAN)
+    }
+
+    /// A number that may be absent.
+    pub fn float_opt(&self, name: &'static str) -> Option<f64> {
+        self.with(name, |key, found| {
+            let Kind::Float(range) = key.kind else { return self.misread(key) };
+            let Some(number) = number(found.value) else { return self.wrong_type(key, &found) };
+            if !range.contains(number) {
+                return self.out_of_range(key, &found);
+            }
+            Some(number)
+        })
+    }
+
+    /// An integer, as the registry's range permits.
+    pub fn integer(&self, name: &'static str) -> i64 {
+        self.integer_opt(name).unwrap_or_else(|| match self.spec.key(name).map(|key| key.kind) {
+            Some(Kind::Integer(min, _)) => min,
+            _ => 0,
+        })
+    }
+
+    /// An integer that may be absent.
+    pub fn integer_opt(&self, name: &'static str) -> Option<i64> {
+        self.with(name, |key, found| {
+            let Kind::Integer(min, max) = key.kind else { return self.misread(key) };
+            let Some(integer) = found.value.as_integer() else { return self.wrong_type(key, &found) };
+            match i64::from_str_radix(integer.as_str(), integer.radix()) {
+                Ok(integer) if (min..=max).contains(&integer) => Some(integer),
+                _ => self.out_of_range(key, &found),
+            }
+        })
+    }
+
+    /// An integer whose range in the registry is not negative.
+    pub fn count(&self, name: &'static str) -> usize {
+        usize::try_from(self.integer(name)).unwrap_or(0)
+    }
+
+    /// The same, and it may be absent.
+    pub fn count_opt(&self, name: &'static str) -> Option<usize> {
+        self.integer_opt(name).and_then(|integer| usize::try_from(integer).ok())
+    }
+
+    /// A switch.
+    pub fn boolean(&self, name: &'static str) -> bool {
+        self.with(name, |key, found| match found.value.as_bool() {
+            Some(value) => Some(value),
+            None => self.wrong_type(key, &found),
+        })
+        .unwrap_or(false)
+    }
+
+    /// A string.
+    pub fn text(&self, name: &'static str) -> String {
+        self.text_opt(name).unwrap_or_default()
+    }
+
+    /// A string that may be absent.
+    pub fn text_opt(&self, name: &'static str) -> Option<String> {
+        self.with(name, |key, found| {
+            let Kind::Text(most) = key.kind else { return self.misread(key) };
+            let Some(text) = found.value.as_str() else { return self.wrong_type(key, &found) };
+            if text.is_empty() || text.len() > most {
+                return self.out_of_range(key, &found);
+            }
+            Some(text.to_owned())
+        })
+    }
+
+    /// One of the strings that the registry lists.
+    pub fn choice(&self, name: &'static str) -> &'static str {
+        self.choice_opt(name).unwrap_or("")
+    }
+
+    /// The same, and it may be absent.
+    pub fn choice_opt(&self, name: &'static str) -> Option<&'static str> {
+        self.with(name, |key, found| {
+            let Kind::Choice(names) = key.kind else { return self.misread(key) };
+            let Some(text) = found.value.as_str() else { return self.wrong_type(key, &found) };
+            match names.iter().find(|name| **name == text) {
+                Some(name) => Some(*name),
+                None => {
+                    self.push(
+                        found.place.clone(),
+                        format!("`{}` = {} is not a permitted value", self.path_of(key.name), found.text),
+                        "found".into(),
+                        suggestion(text, names.iter().copied(), "values"),
+                    );
+                    None
+                }
+            }
+        })
+    }
+
+    /// An array of numbers.
+    pub fn floats(&self, name: &'static str) -> Vec<f64> {
+        self.floats_opt(name).unwrap_or_default()
+    }
+
+    /// An array of numbers that may be absent.
+    pub fn floats_opt(&self, name: &'static str) -> Option<Vec<f64>> {
+        self.with(name, |key, found| {
+            let Kind::Floats(length, range) = key.kind else { return self.misread(key) };
+            let values = self.numbers(key, &found, length)?;
+            if let Some(bad) = values.iter().position(|value| !range.contains(*value)) {
+                return self.entry_out_of_range(key, &found, bad);
+            }
+            Some(values)
+        })
+    }
+
+    /// An array of exactly `N` numbers.
+    pub fn vector<const N: usize>(&self, name: &'static str) -> [f64; N] {
+        self.vector_opt(name).unwrap_or([f64::NAN; N])
+    }
+
+    /// An array of exactly `N` numbers that may be absent.
+    pub fn vector_opt<const N: usize>(&self, name: &'static str) -> Option<[f64; N]> {
+        self.floats_opt(name).and_then(|values| values.try_into().ok())
+    }
+
+    /// A unit quaternion.
+    pub fn quaternion(&self, name: &'static str) -> [f64; 4] {
+        self.with(name, |key, found| {
+            let Kind::Quaternion = key.kind else { return self.misread(key) };
+            let values = self.numbers(key, &found, Length::Exactly(4))?;
+            let norm = values.iter().map(|value| value * value).sum::<f64>().sqrt();
+            // The inequality |norm - 1| <= 1e-6: seven digits in a file are enough, a forgotten entry is not.
+            if !(norm - 1.0).abs().le(&1e-6) {
+                return self.out_of_range(key, &found);
+            }
+            Some([values[0] / norm, values[1] / norm, values[2] / norm, values[3] / norm])
+        })
+        .unwrap_or([1.0, 0.0, 0.0, 0.0])
+    }
+
+    /// An array of points.
+    pub fn points(&self, name: &'static str) -> Vec<[f64; 3]> {
+        self.with(name, |key, found| {
+            let Kind::Points(length) = key.kind else { return self.misread(key) };
+            let Some(rows) = found.value.as_array() else { return self.wrong_type(key, &found) };
+            let mut points = Vec::with_capacity(rows.len());
+            for (index, row) in rows.iter().enumerate() {
+                let point: Vec<f64> = match row.get_ref().as_array() {
+                    Some(row) => row.iter().filter_map(|value| number(value.get_ref())).collect(),
+                    None => Vec::new(),
+                };
+                match <[f64; 3]>::try_from(point) {
+                    Ok(point) if point.iter().all(|x| x.is_finite()) => points.push(point),
+                    _ => return self.entry_out_of_range(key, &found, index),
+                }
+            }
+            if !length.contains(points.len()) {
+                return self.wrong_length(key, &found, points.len(), length);
+            }
+            Some(points)
+        })
+        .unwrap_or_default()
+    }
+
+    /// A table below this one; one that is absent reads as its defaults.
+    pub fn table(&self, name: &'static str) -> Section<'d> {
+        let key = self.asked_key(name);
+        let spec = match key.map(|key| key.kind) {
+            Some(Kind::Table(spec)) => spec,
+            _ => self.spec,
+        };
+        let found = self.found.as_ref().and_then(|found| {
+            let (key_text, value) = found.table.get_key_value(name)?;
+            match value.get_ref().as_table() {
+                Some(table) => Some(Found { table, file: found.file, span: key_text.span() }),
+                None => {
+                    if let Some(key) = key {
+                        self.wrong_type::<()>(key, &self.value_in(found, value));
+                    }
+                    None
+                }
+            }
+        });
+        if found.is_none()
+            && let Some(key) = key
+            && key.presence == Presence::Required
+            && !self.has_own(name)
+        {
+            self.missing(key);
+        }
+        Section::open(self.document, spec, self.path_of(name), found, None)
+    }
+
+    /// The tables of an array of tables; empty if it is absent. Each looks keys that it lacks up in `fallback`.
+    pub fn tables(&self, name: &'static str, fallback: Option<&Rc<Section<'d>>>) -> Vec<Section<'d>> {
+        let Some(key) = self.asked_key(name) else { return Vec::new() };
+        let Kind::Tables(length, spec) = key.kind else { return Vec::new() };
+        let Some((found, value)) = self.found.as_ref().and_then(|found| Some((found, found.table.get(name)?))) else {
+            if key.presence == Presence::Required {
+                self.missing(key);
+            }
+            return Vec::new();
+        };
+        let whole = self.value_in(found, value);
+        let Some(array) =
+            value.get_ref().as_array().filter(|array| array.iter().all(|entry| entry.get_ref().is_table()))
+        else {
+            self.wrong_type::<()>(key, &whole);
+            return Vec::new();
+        };
+        if !length.contains(array.len()) {
+            self.wrong_length::<()>(key, &whole, array.len(), length);
+        }
+        let open = |(index, entry): (usize, &'d Spanned<DeValue<'d>>)| {
+            let table = entry.get_ref().as_table()?;
+            let place = Found { table, file: found.file, span: entry.span() };
+            Some(Section::open(
+                self.document,
+                spec,
+                format!("{}[{index}]", self.path_of(name)),
+                Some(place),
+                fallback.cloned(),
+            ))
+        };
+        array.iter().enumerate().filter_map(open).collect()
+    }
+
+    /// A table of `spec` that no file holds: every key comes from `fallback` or its default.
+    pub fn absent(&self, spec: &'static TableSpec, path: String, fallback: Option<&Rc<Section<'d>>>) -> Section<'d> {
+        Section::open(self.document, spec, path, None, fallback.cloned())
+    }
+
+    fn asked_key(&self, name: &'static str) -> Option<&'static Key> {
+        self.asked.borrow_mut().insert(name);
+        if let Some(fallback) = &self.fallback {
+            fallback.asked.borrow_mut().insert(name);
+        }
+        let key = self.spec.key(name);
+        debug_assert!(key.is_some(), "{} is read from {} but not registered", name, self.spec.header);
+        key
+    }
+
+    fn value_in<'s>(&self, found: &Found<'s>, value: &'s Spanned<DeValue<'s>>) -> Value<'s> {
+        Value {
+            value: value.get_ref(),
+            text: found.file.inner().get(value.span()).unwrap_or(""),
+            place: Some(Place { file: found.file.clone(), span: value.span() }),
+        }
+    }
+
+    /// Runs `check` on the key's value: this table's, the one's behind it, or the default.
+    fn with<T>(&self, name: &'static str, check: impl FnOnce(&'static Key, Value<'_>) -> Option<T>) -> Option<T> {
+        let key = self.asked_key(name)?;
+        if let Some(found) = &self.found
+            && let Some(value) = found.table.get(name)
+        {
+            return check(key, self.value_in(found, value));
+        }
+        if let Some(fallback) = &self.fallback
+            && fallback.has(name)
+        {
+            return fallback.with(name, check);
+        }
+        match key.presence {
+            Presence::Optional(_) => None,
+            Presence::Default(text) => match DeValue::parse(text) {
+                Ok(value) => check(key, Value { value: value.get_ref(), text, place: None }),
+                Err(_) => self.misread(key),
+            },
+            Presence::Required => {
+                self.missing(key);
+                None
+            }
+        }
+    }
+
+    fn numbers(&self, key: &Key, found: &Value<'_>, length: Length) -> Option<Vec<f64>> {
+        let Some(array) = found.value.as_array() else { return self.wrong_type(key, found) };
+        let values: Vec<f64> = array.iter().filter_map(|value| number(value.get_ref())).collect();
+        if values.len() != array.len() {
+            return self.wrong_type(key, found);
+        }
+        if !length.contains(values.len()) {
+            return self.wrong_length(key, found, values.len(), length);
+        }
+        if let Some(bad) = values.iter().position(|value| !value.is_finite()) {
+            return self.entry_out_of_range(key, found, bad);
+        }
+        Some(values)
+    }
+
+    fn place_of(&self, name: &str) -> Option<Place> {
+        if let Some(found) = &self.found {
+            if let Some(value) = found.table.get(name) {
+                return Some(Place { file: found.file.clone(), span: value.span() });
+            }
+            if !self.fallback.as_ref().is_some_and(|fallback| fallback.has(name)) {
+                return Some(Place { file: found.file.clone(), span: found.span.clone() });
+            }
+        }
+        self.fallback.as_ref().and_then(|fallback| fallback.place_of(name))
+    }
+
+    fn text_of(&self, name: &str) -> String {
+        match &self.found {
+            Some(found) if found.table.contains_key(name) => {
+                found.table.get(name).map_or(String::new(), |value| shorten(self.value_in(found, value).text))
+            }
+            _ => self.fallback.as_ref().map_or(String::new(), |fallback| fallback.text_of(name)),
+        }
+    }
+
+    fn push(&self, place: Option<Place>, message: String, label: String, help: String) {
+        let mut problems = self.document.problems.borrow_mut();
+        let problem = Problem { place, message, label, help };
+        // A table behind several others is read once for each of them.
+        let known = |other: &Problem| {
+            other.message == problem.message
+                && other.place.as_ref().map(|place| place.span.clone())
+                    == problem.place.as_ref().map(|p| p.span.clone())
+        };
+        if !problems.iter().any(known) {
+            problems.push(problem);
+        }
+    }
+
+    fn missing(&self, key: &Key) {
+        // A table that is missing altogether has been reported as such.
+        let place = match (&self.found, self.fallback.as_ref().and_then(|fallback| fallback.found.as_ref())) {
+            (Some(found), _) | (None, Some(found)) => Place { file: found.file.clone(), span: found.span.clone() },
+            (None, None) if self.document.is_clean() => {
+                let message = format!("`{}` is missing", self.path_of(key.name));
+                self.push(None, message, String::new(), format!("permitted: {}; {}", key.permitted(), key.meaning));
+                return;
+            }
+            (None, None) => return,
+        };
+        self.push(
+            Some(place),
+            format!("`{}` is missing", self.path_of(key.name)),
+            format!("needs `{}`", key.name),
+            format!("permitted: {}; {}", key.permitted(), key.meaning),
+        );
+    }
+
+    fn wrong_type<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
+        self.push(
+            found.place.clone(),
+            format!("`{}` = {} is of the wrong type", self.path_of(key.name), shorten(found.text)),
+            format!("found {}", found.value.type_str()),
+            format!("permitted: {}; {}", key.permitted(), key.meaning),
+        );
+        None
+    }
+
+    fn out_of_range<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
+        self.push(
+            found.place.clone(),
+            format!("`{}` = {} is outside its range", self.path_of(key.name), shorten(found.text)),
+            "out of range".into(),
+            format!("permitted: {}; {}", key.permitted(), key.meaning),
+        );
+        None
+    }
+
+    fn entry_out_of_range<T>(&self, key: &Key, found: &Value<'_>, index: usize) -> Option<T> {
+        let entry = found.value.as_array().and_then(|array| array.get(index));
+        let place = match (&found.place, entry) {
+            (Some(place), Some(entry)) => Some(Place { file: place.file.clone(), span: entry.span() }),
+            _ => None,
+        };
+        let text = place.as_ref().and_then(|place| place.file.inner().get(place.span.clone())).unwrap_or(found.text);
+        self.push(
+            place.clone(),
+            format!("`{}[{index}]` = {} is outside its range", self.path_of(key.name), shorten(text)),
+            "out of range".into(),
+            format!("permitted: {}; {}", key.permitted(), key.meaning),
+        );
+        None
+    }
+
+    fn wrong_length<T>(&self, key: &Key, found: &Value<'_>, entries: usize, length: Length) -> Option<T> {
+        self.push(
+            found.place.clone(),
+            format!("`{}` = {} has {entries} entries, not {length}", self.path_of(key.name), shorten(found.text)),
+            format!("{entries} entries"),
+            format!("permitted: {}; {}", key.permitted(), key.meaning),
+        );
+        None
+    }
+
+    /// The code reads a key as something else than it is registered as: found by the first test that reads it.
+    fn misread<T>(&self, key: &Key) -> Option<T> {
+        debug_assert!(false, "{} of {} is read as another kind than it is registered", key.name, self.spec.header);
+        self.push(None, format!("`{}` is registered wrongly", self.path_of(key.name)), String::new(), String::new());
+        None
+    }
+}
+
+impl Drop for Section<'_> {
+    fn drop(&mut self) {
+        let Some(found) = &self.found else { return };
+        // Whatever is already wrong may be the reason why a key was not asked for.
+        if !self.document.is_clean() || std::thread::panicking() {
+            return;
+        }
+        let asked = self.asked.borrow();
+        for (key, value) in found.table {
+            let name = key.get_ref().as_ref();
+            if self.spec.key(name).is_some() && !asked.contains(name) {
+                self.push(
+                    Some(Place { file: found.file.clone(), span: key.span() }),
+                    format!(
+                        "`{}` = {} does not apply here",
+                        self.path_of(name),
+                        shorten(self.value_in(found, value).text)
+                    ),
+                    "does not apply".into(),
+                    format!(
+                        "another key of {} decides whether it is used; remove it or change that key",
+                        self.spec.header
+                    ),
+                );
+            }
+        }
+    }
+}
+
+fn number(value: &DeValue<'_>) -> Option<f64> {
+    match value {
+        DeValue::Float(float) => float.as_str().parse().ok(),
+        DeValue::Integer(integer) => {
+            i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|value| value as f64)
+        }
+        _ => None,
+    }
+}
+
+/// A value as a message quotes it: one line, at most 60 characters.
+fn shorten(text: &str) -> String {
+    let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    if line.chars().count() <= 60 { line } else { line.chars().take(57).chain("...".chars()).collect() }
+}

@@ -1,0 +1,116 @@
+//! `[loop]`: the control thread's period, scheduling and what it does when it is late.
+
+use super::reader::Section;
+use super::schema::{Key, Kind, Range, TableSpec};
+use serde::Serialize;
+
+/// Timing of the control thread.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoopConfig {
+    /// Period (s), 1 to 100 ms.
+    pub period_s: f64,
+    /// Processor that the control thread is pinned to; `None` leaves it to the scheduler.
+    pub cpu: Option<usize>,
+    /// SCHED_FIFO priority 1 to 99; 0 keeps normal scheduling.
+    pub priority: u8,
+    /// Lock and pre-fault the process's memory.
+    pub lock_memory: bool,
+    /// Refuse to start without the priority and the memory lock; otherwise run on degraded and say so.
+    pub require_realtime: bool,
+    /// Late ticks in a row during which the last tensions are held.
+    pub overruns_hold: u32,
+    /// After that, time in which the tensions are ramped to their least value (s).
+    pub ramp_s: f64,
+    /// Late ticks in a row after which the supervisor faults; greater than `overruns_hold`.
+    pub overruns_fault: u32,
+    /// Part of the period kept back for guard and sending (s); the planner gets what is left before it.
+    pub reserve_s: f64,
+}
+
+/// `[loop]`.
+pub static LOOP: TableSpec = TableSpec {
+    header: "[loop]",
+    name: "loop",
+    about: "The control thread: its period, its scheduling, and what happens when it is late.",
+    keys: &[
+        Key::default(
+            "period_s",
+            Kind::Float(Range::closed(0.001, 0.1)),
+            "s",
+            "0.01",
+            "Period. The planner's lookahead must be a whole multiple of it.",
+        ),
+        Key::optional(
+            "cpu",
+            Kind::Integer(0, 1023),
+            "",
+            "not pinned",
+            "Processor that the control thread is pinned to.",
+        ),
+        Key::default("priority", Kind::Integer(0, 99), "", "80", "SCHED_FIFO priority; 0 keeps normal scheduling."),
+        Key::default("lock_memory", Kind::Bool, "", "true", "Lock and pre-fault the memory."),
+        Key::default(
+            "require_realtime",
+            Kind::Bool,
+            "",
+            "false",
+            "Refuse to start where priority or memory lock are not granted; otherwise run on degraded.",
+        ),
+        Key::default(
+            "overruns_hold",
+            Kind::Integer(0, 1000),
+            "ticks",
+            "2",
+            "Late ticks in a row during which the last tensions are held.",
+        ),
+        Key::default(
+            "ramp_s",
+            Kind::Float(Range::above(0.0, 60.0)),
+            "s",
+            "0.5",
+            "After that, time in which the tensions are ramped to their least value.",
+        ),
+        Key::default(
+            "overruns_fault",
+            Kind::Integer(1, 10000),
+            "ticks",
+            "10",
+            "Late ticks in a row after which the supervisor faults; greater than `overruns_hold`.",
+        ),
+        Key::default(
+            "reserve_s",
+            Kind::Float(Range::closed(0.0, 0.05)),
+            "s",
+            "0.0002",
+            "Part of the period kept back for guard and sending; at most half of it.",
+        ),
+    ],
+};
+
+/// Reads `[loop]`.
+pub(super) fn read(table: &Section<'_>) -> LoopConfig {
+    let config = LoopConfig {
+        period_s: table.float("period_s"),
+        cpu: table.count_opt("cpu"),
+        priority: table.integer("priority") as u8,
+        lock_memory: table.boolean("lock_memory"),
+        require_realtime: table.boolean("require_realtime"),
+        overruns_hold: table.integer("overruns_hold") as u32,
+        ramp_s: table.float("ramp_s"),
+        overruns_fault: table.integer("overruns_fault") as u32,
+        reserve_s: table.float("reserve_s"),
+    };
+    if config.overruns_fault <= config.overruns_hold {
+        let help = format!(
+            "permitted: {} to 10000 ticks (`overruns_hold` = {})",
+            config.overruns_hold + 1,
+            config.overruns_hold
+        );
+        table.refuse("overruns_fault", "not greater than `overruns_hold`", &help);
+    }
+    if config.reserve_s > config.period_s / 2.0 {
+        let help = format!("permitted: 0 to {} s, half of `period_s`", config.period_s / 2.0);
+        table.refuse("reserve_s", "more than half of the period", &help);
+    }
+    config
+}

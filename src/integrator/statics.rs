@@ -1,0 +1,137 @@
+//! Static equilibrium for given tensions, and a consistent start of a motion.
+
+use super::step::{StepError, Stepper};
+use crate::math::block_tridiagonal::BLOCK;
+use crate::model::{Arm, Motion, Rates, State};
+
+/// Why no equilibrium was found.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum StaticsError {
+    /// Newton failed even for load steps of 1/1024.
+    #[error("no equilibrium was reached: continuation stopped at {share:.4} of the load")]
+    NotReached {
+        /// Share of the load up to which equilibria were found.
+        share: f64,
+    },
+}
+
+/// Most Newton iterations of one load step.
+const ITERATIONS_MAX: usize = 40;
+
+/// Static equilibrium under tensions `u` (N), from the guess in `state`; rates and accelerations are set to zero.
+///
+/// Newton with step halving on the full load; where that fails, the load is applied in steps (natural continuation
+/// from the guess's own load-free neighbour). Returns the number of Newton iterations. Does not allocate but for one
+/// copy of the guess and of the loads.
+///
+/// # Errors
+/// [`StaticsError::NotReached`]; `state` then holds the last equilibrium on the way.
+pub fn equilibrium(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Result<usize, StaticsError> {
+    state.qd.fill(0.0);
+    state.qdd.fill(0.0);
+    state.a.fill(0.0);
+    let guess = state.clone();
+    if let Ok(n) = newton(arm, stepper, u, state) {
+        return Ok(n);
+    }
+    state.copy_from(&guess);
+    let (mut share, mut increment, mut total) = (0.0f64, 0.25f64, 0);
+    let mut load = u.to_vec();
+    let mut reached = guess;
+    while share < 1.0 {
+        let target = (share + increment).min(1.0);
+        load.iter_mut().zip(u).for_each(|(l, u)| *l = target * u);
+        match newton(arm, stepper, &load, state) {
+            Ok(n) => {
+                total += n;
+                share = target;
+                increment *= 1.5;
+                reached.copy_from(state);
+            }
+            Err(_) => {
+                state.copy_from(&reached);
+                increment *= 0.5;
+                if increment < 1.0 / 1024.0 {
+                    return Err(StaticsError::NotReached { share });
+                }
+            }
+        }
+    }
+    Ok(total)
+}
+
+/// Newton on the static equations; halves the step while the residual grows.
+fn newton(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Result<usize, StepError> {
+    let mut trial = state.clone();
+    let n = arm.node_count();
+    let (mut upper, mut lower) = (vec![0.0; 7 * n], vec![0.0; 4 * n]);
+    let mut residual = |s: &State, scale: f64| {
+        arm.residual_into(&Motion::from(s), u, &mut upper, &mut lower);
+        (upper.iter().map(|x| x * x).sum::<f64>() + lower.iter().map(|x| (scale * x).powi(2)).sum::<f64>()).sqrt()
+    };
+    for iteration in 1..=ITERATIONS_MAX {
+        stepper.linearize(arm, &Motion::from(&*state), u, Rates::STATIC)?;
+        let scale = stepper.linearization.scale;
+        let before = residual(state, scale);
+        let dx = stepper.correction(u).clone();
+        let full: f64 = (0..n).flat_map(|i| &dx[BLOCK * i..BLOCK * i + 7]).map(|x| x * x).sum::<f64>().sqrt();
+        if !full.is_finite() {
+            return Err(StepError::Diverged);
+        }
+        let mut share = 1.0;
+        loop {
+            trial.copy_from(state);
+            let scaled: Vec<f64> = dx.iter().map(|x| share * x).collect();
+            stepper.apply(&scaled, Rates::STATIC, &mut trial);
+            // A quaternion must not jump past its neighbour: half a unit of change at most.
+            let jump = (0..n).flat_map(|i| &scaled[BLOCK * i + 3..BLOCK * i + 7]).fold(0.0f64, |a, x| a.max(x.abs()));
+            if (jump < 0.5 && residual(&trial, scale) < before) || share * full < 1e-10 {
+                break;
+            }
+            share *= 0.5;
+            if share < 1e-4 {
+                return Err(StepError::Diverged);
+            }
+        }
+        state.copy_from(&trial);
+        if share == 1.0 && full < 1e-10 {
+            return Ok(iteration);
+        }
+    }
+    Err(StepError::Diverged)
+}
+
+/// Accelerations and multipliers that belong to `state.q`, `state.qd` under tensions `u`: the solution of
+/// `[M, psi_q^T; psi_q, 0] [q''; lambda] = [G u - V q' - dE/dq; -(d^2 psi)(q', q')]`. Sets `a = q''`. Allocates.
+///
+/// # Errors
+/// The matrix is singular.
+pub fn consistent_start(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Result<(), StepError> {
+    let n = arm.node_count();
+    let (mut upper, mut lower) = (vec![0.0; 7 * n], vec![0.0; 4 * n]);
+    state.qdd.fill(0.0);
+    state.lambda.fill(0.0);
+    arm.residual_into(&Motion::from(&*state), u, &mut upper, &mut lower);
+    arm.constraint_acceleration_into(&state.q, &state.qd, &mut lower);
+    let scale = arm.nodes.iter().map(|m| m.mass).fold(0.0, f64::max);
+    arm.mass_into(&state.q, scale, &mut stepper.linearization.tangent);
+    stepper.factor.factor(&stepper.linearization.tangent)?;
+    let mut x = vec![0.0; BLOCK * n];
+    for i in 0..n {
+        for c in 0..7 {
+            x[BLOCK * i + c] = -upper[7 * i + c];
+        }
+        for c in 0..4 {
+            x[BLOCK * i + 7 + c] = scale * lower[4 * i + c];
+        }
+    }
+    stepper.factor.solve_in_place(&mut x);
+    for i in 0..n {
+        state.qdd[7 * i..7 * i + 7].copy_from_slice(&x[BLOCK * i..BLOCK * i + 7]);
+        for c in 0..4 {
+            state.lambda[4 * i + c] = scale * x[BLOCK * i + 7 + c];
+        }
+    }
+    state.a.copy_from_slice(&state.qdd);
+    Ok(())
+}

@@ -1,0 +1,339 @@
+//! Obstacle sets of several sources: newest per source wins, merged and extrapolated.
+
+use super::{InputLimits, SourceLog, check, elapsed_s};
+use crate::ipc::payload::{
+    FLAG_LEAVING, MAX_OBSTACLES, MAX_SOURCES, MAX_TRACKED, MAX_VERTICES, Obstacle, ObstacleKind, Obstacles,
+    RejectCause, SourceHealth, State,
+};
+
+/// One source's place in the table.
+#[derive(Debug, Clone)]
+struct Slot {
+    log: SourceLog,
+    /// The configuration names this source: its absence asks for a hold.
+    declared: bool,
+    used: bool,
+    set: Obstacles,
+    /// Largest standard deviation of each obstacle (m); computed on arrival, off the control thread.
+    sigma_m: [f64; MAX_OBSTACLES],
+}
+
+impl Slot {
+    fn empty() -> Self {
+        Self {
+            log: SourceLog::new(0),
+            declared: false,
+            used: false,
+            set: Obstacles::default(),
+            sigma_m: [0.0; MAX_OBSTACLES],
+        }
+    }
+
+    fn obstacles(&self) -> &[Obstacle] {
+        if self.log.last.is_some() { self.set.used() } else { &[] }
+    }
+}
+
+/// The newest valid set of every source.
+///
+/// About 140 kB, no heap: one lives on the input side, three in the triple buffer to the control thread.
+#[derive(Debug, Clone)]
+pub struct ObstacleTable {
+    slots: [Slot; MAX_SOURCES],
+    sources_refused: u64,
+}
+
+/// What the obstacle inputs ask of the supervisor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ObstacleDemand {
+    /// Nothing.
+    Proceed,
+    /// Hold: the named source is expired, or declared and absent.
+    Hold {
+        /// The first such source.
+        source_id: u32,
+    },
+}
+
+/// One obstacle as the planner takes it: at the planned time, grown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackedObstacle {
+    /// Source.
+    pub source_id: u32,
+    /// Id within the source.
+    pub id: u32,
+    /// Shape.
+    pub kind: ObstacleKind,
+    /// Dimensions (m) by kind, as in [`Obstacle::dimensions_m`], not grown.
+    pub dimensions_m: [f64; 3],
+    /// Origin (m), base frame, extrapolated.
+    pub position_m: [f64; 3],
+    /// Unit quaternion `[w x y z]`, obstacle to base.
+    pub quaternion: [f64; 4],
+    /// Velocity (m/s), base frame.
+    pub velocity_mps: [f64; 3],
+    /// To be added to the shape all around (m): `sigma_multiple` standard deviations and the growth by age.
+    pub growth_m: f64,
+    /// Health of its source.
+    pub health: SourceHealth,
+    /// Vertices of a hull, for [`ObstacleTable::hull_vertices`].
+    hull: (u8, u16, u16),
+}
+
+impl TrackedObstacle {
+    const NONE: Self = Self {
+        source_id: 0,
+        id: 0,
+        kind: ObstacleKind::Ball,
+        dimensions_m: [0.0; 3],
+        position_m: [0.0; 3],
+        quaternion: [1.0, 0.0, 0.0, 0.0],
+        velocity_mps: [0.0; 3],
+        growth_m: 0.0,
+        health: SourceHealth::Absent,
+        hull: (0, 0, 0),
+    };
+}
+
+/// All tracked obstacles at one planned time; fixed capacity.
+#[derive(Debug, Clone)]
+pub struct TrackedSet {
+    count: usize,
+    obstacles: [TrackedObstacle; MAX_TRACKED],
+}
+
+impl TrackedSet {
+    /// An empty set.
+    pub const fn new() -> Self {
+        Self { count: 0, obstacles: [TrackedObstacle::NONE; MAX_TRACKED] }
+    }
+
+    /// The obstacles, by source place, then in the source's order.
+    pub fn as_slice(&self) -> &[TrackedObstacle] {
+        &self.obstacles[..self.count]
+    }
+}
+
+impl Default for TrackedSet {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl ObstacleTable {
+    /// A table in which nothing was heard. `declared` sources (the first eight) must be present for motion.
+    pub fn new(declared: &[u32]) -> Self {
+        let mut table = Self { slots: std::array::from_fn(|_| Slot::empty()), sources_refused: 0 };
+        for (slot, &source_id) in table.slots.iter_mut().zip(declared) {
+            slot.log.source_id = source_id;
+            slot.declared = true;
+            slot.used = true;
+        }
+        table
+    }
+
+    /// Takes over a message if it is valid. Does not allocate.
+    ///
+    /// # Errors
+    /// The cause for which it was rejected; already counted for the source.
+    pub fn accept(&mut self, message: &Obstacles, now_ns: u64, limits: &InputLimits) -> Result<(), RejectCause> {
+        let Some(place) = self.place_of(message.header.source_id) else {
+            self.sources_refused += 1;
+            return Err(RejectCause::TooManySources);
+        };
+        let others = self.slots.iter().enumerate().filter(|&(i, _)| i != place).map(|(_, s)| s.obstacles().len()).sum();
+        let slot = &mut self.slots[place];
+        match slot
+            .log
+            .check(&message.header, now_ns, limits)
+            .and_then(|()| validate(message, others, &mut slot.sigma_m))
+        {
+            Ok(()) => {
+                slot.log.accept(&message.header);
+                copy_used(&mut slot.set, message);
+                if message.flags & FLAG_LEAVING != 0 {
+                    slot.log.last = None;
+                    slot.used = slot.declared;
+                }
+                Ok(())
+            }
+            Err(cause) => {
+                // `validate` overwrites the standard deviations only after the whole message was found valid.
+                slot.log.reject(cause);
+                Err(cause)
+            }
+        }
+    }
+
+    /// The source's place; a new source takes a free one, or that of one of whom nothing was ever accepted.
+    fn place_of(&mut self, source_id: u32) -> Option<usize> {
+        if let Some(place) = self.slots.iter().position(|s| s.used && s.log.source_id == source_id) {
+            return Some(place);
+        }
+        let free = self
+            .slots
+            .iter()
+            .position(|s| !s.used)
+            .or_else(|| self.slots.iter().position(|s| !s.declared && s.log.last.is_none()))?;
+        let slot = &mut self.slots[free];
+        slot.log = SourceLog::new(source_id);
+        slot.used = true;
+        Some(free)
+    }
+
+    /// Overwrites this table with another's content, copying only what is in use.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.sources_refused = other.sources_refused;
+        for (mine, theirs) in self.slots.iter_mut().zip(&other.slots) {
+            mine.log = theirs.log;
+            mine.declared = theirs.declared;
+            mine.used = theirs.used;
+            copy_used(&mut mine.set, &theirs.set);
+            let count = theirs.set.used().len();
+            mine.sigma_m[..count].copy_from_slice(&theirs.sigma_m[..count]);
+        }
+    }
+
+    /// Every obstacle at `now + lookahead`, grown. Does not allocate.
+    ///
+    /// Position: constant velocity from the capture time, but no longer than `hold_after_s` plus the lookahead: then the
+    /// arm holds, and an obstacle must not fly off on an old velocity. Growth:
+    /// `sigma_multiple sigma + growth_mps (min(age, hold_after_s) - stale_after_s)`, the second part only when positive.
+    pub fn track_into(&self, now_ns: u64, lookahead_s: f64, limits: &InputLimits, tracked: &mut TrackedSet) {
+        tracked.count = 0;
+        for (place, slot) in self.slots.iter().enumerate() {
+            let Some(header) = slot.log.last else { continue };
+            // Signed: a capture time within the tolerated future is extrapolated by less.
+            let age_s = elapsed_s(header.capture_ns, now_ns).min(limits.hold_after_s);
+            let growth_by_age_m = limits.growth_mps * (age_s - limits.stale_after_s).max(0.0);
+            let health = slot.log.health(now_ns, limits);
+            for (o, sigma_m) in slot.set.used().iter().zip(&slot.sigma_m) {
+                let (Some(kind), Some(out)) =
+                    (ObstacleKind::from_wire(o.kind), tracked.obstacles.get_mut(tracked.count))
+                else {
+                    continue;
+                };
+                *out = TrackedObstacle {
+                    source_id: slot.log.source_id,
+                    id: o.id,
+                    kind,
+                    dimensions_m: o.dimensions_m,
+                    position_m: std::array::from_fn(|i| o.position_m[i] + o.velocity_mps[i] * (age_s + lookahead_s)),
+                    quaternion: check::normalised(&o.quaternion),
+                    velocity_mps: o.velocity_mps,
+                    growth_m: limits.sigma_multiple * sigma_m + growth_by_age_m,
+                    health,
+                    hull: (place as u8, o.hull_offset as u16, o.hull_count as u16),
+                };
+                tracked.count += 1;
+            }
+        }
+    }
+
+    /// Vertices of a tracked hull (m), obstacle frame; empty for other kinds.
+    ///
+    /// Valid together with the table that `obstacle` was tracked from.
+    pub fn hull_vertices(&self, obstacle: &TrackedObstacle) -> &[[f64; 3]] {
+        let (place, offset, count) = obstacle.hull;
+        let range = usize::from(offset)..usize::from(offset) + usize::from(count);
+        self.slots[usize::from(place)].set.vertices_m.get(range).unwrap_or(&[])
+    }
+
+    /// What the sources ask for at `now`.
+    pub fn demand(&self, now_ns: u64, limits: &InputLimits) -> ObstacleDemand {
+        for slot in self.slots.iter().filter(|s| s.used) {
+            let hold = match slot.log.health(now_ns, limits) {
+                SourceHealth::Fresh | SourceHealth::Stale => false,
+                SourceHealth::Absent => slot.declared,
+                SourceHealth::Expired => true,
+            };
+            if hold {
+                return ObstacleDemand::Hold { source_id: slot.log.source_id };
+            }
+        }
+        ObstacleDemand::Proceed
+    }
+
+    /// Forgets sources that are expired and not declared, as the operator's `clear` asks; their counters stay until the
+    /// place is needed.
+    pub fn forget_expired(&mut self, now_ns: u64, limits: &InputLimits) {
+        for slot in &mut self.slots {
+            if slot.used && !slot.declared && slot.log.health(now_ns, limits) == SourceHealth::Expired {
+                slot.log.last = None;
+            }
+        }
+    }
+
+    /// Whether every given source has delivered a set for `tick` or later (lockstep).
+    pub fn is_ready_for(&self, tick: u64, sources: &[u32]) -> bool {
+        sources.iter().all(|&id| {
+            let slot = self.slots.iter().find(|s| s.used && s.log.source_id == id);
+            slot.and_then(|s| s.log.last).is_some_and(|h| h.tick >= tick && h.tick != crate::ipc::payload::NO_TICK)
+        })
+    }
+
+    /// Fills the obstacle sources' part of a tick's record.
+    pub fn report_into(&self, now_ns: u64, limits: &InputLimits, state: &mut State) {
+        state.stale_sources = 0;
+        for (slot, report) in self.slots.iter().zip(&mut state.obstacle_sources) {
+            *report = if slot.used { slot.log.report(now_ns, limits) } else { Default::default() };
+            let health = slot.log.health(now_ns, limits);
+            state.stale_sources += u64::from(matches!(health, SourceHealth::Stale | SourceHealth::Expired));
+        }
+        state.obstacle_sources_refused = self.sources_refused;
+    }
+}
+
+fn copy_used(to: &mut Obstacles, from: &Obstacles) {
+    let (count, vertices) = (from.used().len(), (from.vertex_count as usize).min(MAX_VERTICES));
+    to.header = from.header;
+    (to.count, to.vertex_count, to.flags) = (count as u32, vertices as u32, from.flags);
+    to.obstacles[..count].copy_from_slice(&from.obstacles[..count]);
+    to.vertices_m[..vertices].copy_from_slice(&from.vertices_m[..vertices]);
+}
+
+/// Checks the content of a set; on success alone, `sigma_m` holds the standard deviations.
+fn validate(message: &Obstacles, others: usize, sigma_m: &mut [f64; MAX_OBSTACLES]) -> Result<(), RejectCause> {
+    let count = message.count as usize;
+    if count > MAX_OBSTACLES || message.vertex_count as usize > MAX_VERTICES || others + count > MAX_TRACKED {
+        return Err(RejectCause::Overfull);
+    }
+    if message.flags & FLAG_LEAVING != 0 && count != 0 {
+        return Err(RejectCause::UnknownKind);
+    }
+    let mut sigma = [0.0; MAX_OBSTACLES];
+    for (i, o) in message.used().iter().enumerate() {
+        validate_one(o, message)?;
+        sigma[i] = check::largest_sigma(&o.covariance_m2)?;
+        if message.obstacles[..i].iter().any(|other| other.id == o.id) {
+            return Err(RejectCause::DuplicateId);
+        }
+    }
+    *sigma_m = sigma;
+    Ok(())
+}
+
+fn validate_one(o: &Obstacle, message: &Obstacles) -> Result<(), RejectCause> {
+    let kind = ObstacleKind::from_wire(o.kind).ok_or(RejectCause::UnknownKind)?;
+    check::coordinates(&o.position_m)?;
+    check::coordinates(&o.velocity_mps)?;
+    check::quaternion(&o.quaternion)?;
+    check::finite(&o.dimensions_m)?;
+    let d = &o.dimensions_m;
+    match kind {
+        ObstacleKind::Ball => check::lengths(&d[..1]),
+        ObstacleKind::Capsule => check::lengths(&d[..2]),
+        ObstacleKind::Box => check::lengths(d),
+        ObstacleKind::HalfSpace => Ok(()),
+        ObstacleKind::Hull => {
+            let (start, count) = (o.hull_offset as usize, o.hull_count as usize);
+            let used = &message.vertices_m[..message.vertex_count as usize];
+            let vertices = start.checked_add(count).and_then(|end| used.get(start..end));
+            check::hull(vertices.ok_or(RejectCause::Hull)?)
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "obstacles_tests.rs"]
+mod tests;

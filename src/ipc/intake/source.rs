@@ -1,0 +1,157 @@
+//! One source's clock, sequence and counters.
+
+use super::{InputLimits, elapsed_s, seconds_to_ns};
+use crate::ipc::payload::{Header, REJECT_CAUSES, RejectCause, SCHEMA_VERSION, SourceHealth, SourceReport};
+
+/// What is known about a source: its last accepted header, and what was accepted and rejected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SourceLog {
+    /// Source id.
+    pub source_id: u32,
+    /// Header of the last accepted message; `None` before the first one and after the source left.
+    pub last: Option<Header>,
+    /// Messages accepted.
+    pub accepted: u64,
+    /// Messages rejected, by cause.
+    pub rejected: [u64; REJECT_CAUSES],
+}
+
+impl SourceLog {
+    /// A source that was not heard yet.
+    pub const fn new(source_id: u32) -> Self {
+        Self { source_id, last: None, accepted: 0, rejected: [0; REJECT_CAUSES] }
+    }
+
+    /// Checks version, time and sequence of a header; changes nothing.
+    ///
+    /// # Errors
+    /// The cause to count: schema, future, too old on first sight, backwards, sequence.
+    pub fn check(&self, header: &Header, now_ns: u64, limits: &InputLimits) -> Result<(), RejectCause> {
+        if header.schema_version != SCHEMA_VERSION {
+            return Err(RejectCause::Schema);
+        }
+        if header.capture_ns > now_ns.saturating_add(seconds_to_ns(limits.future_tolerance_s)) {
+            return Err(RejectCause::Future);
+        }
+        let Some(last) = &self.last else {
+            // The history of a service keeps the last message of a client that died long ago. That is no source.
+            let too_old = elapsed_s(header.capture_ns, now_ns) > limits.hold_after_s;
+            return if too_old { Err(RejectCause::TooOld) } else { Ok(()) };
+        };
+        if header.capture_ns < last.capture_ns {
+            return Err(RejectCause::Backwards);
+        }
+        let restarted = header.sequence == 0 && header.capture_ns > last.capture_ns;
+        if header.sequence <= last.sequence && !restarted {
+            return Err(RejectCause::Sequence);
+        }
+        Ok(())
+    }
+
+    /// Counts an accepted message.
+    pub fn accept(&mut self, header: &Header) {
+        self.last = Some(*header);
+        self.accepted += 1;
+    }
+
+    /// Counts a rejected message.
+    pub fn reject(&mut self, cause: RejectCause) {
+        self.rejected[cause.wire() as usize] += 1;
+    }
+
+    /// Age of the newest content (s); infinite if there is none, 0 if it is from the tolerated future.
+    pub fn age_s(&self, now_ns: u64) -> f64 {
+        self.last.map_or(f64::INFINITY, |h| elapsed_s(h.capture_ns, now_ns).max(0.0))
+    }
+
+    /// Health of the source.
+    pub fn health(&self, now_ns: u64, limits: &InputLimits) -> SourceHealth {
+        if self.last.is_none() {
+            return SourceHealth::Absent;
+        }
+        let age_s = self.age_s(now_ns);
+        if age_s > limits.hold_after_s {
+            SourceHealth::Expired
+        } else if age_s > limits.stale_after_s {
+            SourceHealth::Stale
+        } else {
+            SourceHealth::Fresh
+        }
+    }
+
+    /// The record for `State`.
+    pub fn report(&self, now_ns: u64, limits: &InputLimits) -> SourceReport {
+        SourceReport {
+            source_id: self.source_id,
+            health: self.health(now_ns, limits).wire(),
+            sequence: self.last.map_or(0, |h| h.sequence),
+            age_s: self.age_s(now_ns),
+            accepted: self.accepted,
+            rejected: self.rejected,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+    const LIMITS: InputLimits = InputLimits {
+        stale_after_s: 0.1,
+        hold_after_s: 0.5,
+        growth_mps: 0.2,
+        sigma_multiple: 3.0,
+        future_tolerance_s: 0.005,
+    };
+
+    fn heard(sequence: u64, capture_ns: u64) -> SourceLog {
+        let mut log = SourceLog::new(7);
+        log.accept(&Header::new(7, sequence, capture_ns));
+        log
+    }
+
+    #[test]
+    fn time_travel_is_refused() {
+        let log = heard(5, SECOND);
+        let check = |sequence, capture_ns, now_ns| log.check(&Header::new(7, sequence, capture_ns), now_ns, &LIMITS);
+        assert_eq!(check(6, SECOND + 5_000_000, SECOND), Ok(()));
+        assert_eq!(check(6, SECOND + 5_000_001, SECOND), Err(RejectCause::Future));
+        assert_eq!(check(6, SECOND - 1, SECOND), Err(RejectCause::Backwards));
+        assert_eq!(check(6, u64::MAX, SECOND), Err(RejectCause::Future));
+    }
+
+    #[test]
+    fn a_repeated_sequence_is_refused_and_a_restart_is_not() {
+        let log = heard(5, SECOND);
+        let check = |sequence, capture_ns| log.check(&Header::new(7, sequence, capture_ns), 2 * SECOND, &LIMITS);
+        assert_eq!(check(5, SECOND + 1), Err(RejectCause::Sequence));
+        assert_eq!(check(4, SECOND + 1), Err(RejectCause::Sequence));
+        assert_eq!(check(0, SECOND), Err(RejectCause::Sequence));
+        assert_eq!(check(0, SECOND + 1), Ok(()));
+        assert_eq!(check(6, SECOND), Ok(()));
+    }
+
+    #[test]
+    fn the_message_of_a_client_long_dead_makes_no_source() {
+        let log = SourceLog::new(7);
+        assert_eq!(log.check(&Header::new(7, 3, SECOND), 2 * SECOND, &LIMITS), Err(RejectCause::TooOld));
+        assert_eq!(log.check(&Header::new(7, 3, SECOND), SECOND + SECOND / 2, &LIMITS), Ok(()));
+    }
+
+    #[test]
+    fn another_schema_version_is_refused() {
+        let mut header = Header::new(7, 0, SECOND);
+        header.schema_version += 1;
+        assert_eq!(SourceLog::new(7).check(&header, SECOND, &LIMITS), Err(RejectCause::Schema));
+    }
+
+    #[test]
+    fn health_follows_age() {
+        let log = heard(0, SECOND);
+        assert_eq!(SourceLog::new(7).health(SECOND, &LIMITS), SourceHealth::Absent);
+        assert_eq!(log.health(SECOND, &LIMITS), SourceHealth::Fresh);
+        assert_eq!(log.health(SECOND + 101_000_000, &LIMITS), SourceHealth::Stale);
+        assert_eq!(log.health(SECOND + 501_000_000, &LIMITS), SourceHealth::Expired);
+    }
+}

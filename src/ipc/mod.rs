@@ -1,0 +1,9 @@
+//! Shared memory: payloads, services, validation, and the hand-over to the control thread.
+//!
+//! Enters: messages of clients (encoders, obstacles, targets, requests), any bytes whatever. Leaves: validated inputs
+//! for the control thread, its records for everyone. The control thread touches no port: it reads the newest values
+//! from triple buffers and writes its records to bounded rings, both wait-free; what finds a ring full is counted and
+//! dropped. Nothing here may delay or fail the loop.
+
+pub mod intake;
+pub mod payload;

@@ -1,0 +1,67 @@
+//! Dense LU with partial pivoting in the caller's memory, for systems of some tens of unknowns.
+//!
+//! Enters: a row-major matrix and a right-hand side. Leaves: the solution in place. nalgebra's dynamic LU and faer's
+//! both want memory of their own at each call; these few lines need none, which the control thread requires.
+
+/// Solves `a x = b` in place (`a` n x n row-major, destroyed; `b` becomes `x`). Returns false where a pivot is zero
+/// or not finite. Does not allocate.
+pub fn solve_in_place(n: usize, a: &mut [f64], b: &mut [f64]) -> bool {
+    for k in 0..n {
+        let mut pivot = k;
+        let mut best = a[k * n + k].abs();
+        for r in k + 1..n {
+            let v = a[r * n + k].abs();
+            if v > best {
+                best = v;
+                pivot = r;
+            }
+        }
+        if !(best > 0.0 && best.is_finite()) {
+            return false;
+        }
+        if pivot != k {
+            for c in k..n {
+                a.swap(k * n + c, pivot * n + c);
+            }
+            b.swap(k, pivot);
+        }
+        let (top, below) = a.split_at_mut((k + 1) * n);
+        let row = &top[k * n..];
+        let inverse = 1.0 / row[k];
+        for r in k + 1..n {
+            let other = &mut below[(r - k - 1) * n..(r - k) * n];
+            let f = other[k] * inverse;
+            if f != 0.0 {
+                for (o, p) in other[k + 1..].iter_mut().zip(&row[k + 1..n]) {
+                    *o -= f * p;
+                }
+                b[r] -= f * b[k];
+            }
+        }
+    }
+    for k in (0..n).rev() {
+        let s: f64 = (k + 1..n).map(|c| a[k * n + c] * b[c]).sum();
+        b[k] = (b[k] - s) / a[k * n + k];
+    }
+    b[..n].iter().all(|v| v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn solutions_agree_with_the_library() {
+        let n = 7;
+        let a: Vec<f64> = (0..n * n).map(|k| ((k * k) as f64 * 1.7).sin()).collect();
+        let b: Vec<f64> = (0..n).map(|k| (k as f64).cos()).collect();
+        let want =
+            nalgebra::DMatrix::from_row_slice(n, n, &a).lu().solve(&nalgebra::DVector::from_vec(b.clone())).unwrap();
+        let (mut m, mut x) = (a, b);
+        assert!(super::solve_in_place(n, &mut m, &mut x));
+        assert!(x.iter().zip(want.iter()).all(|(x, y)| (x - y).abs() < 1e-10));
+    }
+
+    #[test]
+    fn a_singular_matrix_is_told() {
+        assert!(!super::solve_in_place(2, &mut [1.0, 2.0, 2.0, 4.0], &mut [1.0, 1.0]));
+    }
+}

@@ -1,0 +1,479 @@
+//! The combined planner, figure 3: Newton on the dynamics with the optimal tensions of each iterate inside it.
+//!
+//! Per iteration: linearise the step at the iterate, reduce (15) to a quadratic of the tensions, decide between safe
+//! and warning subspace (17), solve there, move the iterate. Dynamics and optimisation converge together.
+
+use super::complementarity::{self, Problem, Solver};
+use super::problem::{Goal, Quadratic, tension_cost};
+use super::swarm::{Pairs, Swarm, Variant};
+use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, required_distance};
+use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
+use crate::integrator::{AffineMap, Scheme, Stepper};
+use crate::math::block_tridiagonal::{BLOCK, Singular};
+use crate::math::quaternion::rotation_jacobians;
+use crate::model::{Arm, Motion, State};
+use nalgebra::{Matrix3x4, Vector3};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// Most pairs of body and obstacle that one step plans with; the nearest are kept.
+pub const PAIRS_MAX: usize = 256;
+/// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
+const REACH_M: f64 = 0.05;
+
+/// What one planning step works from.
+#[derive(Debug, Clone, Copy)]
+pub struct Inputs<'a> {
+    /// State now.
+    pub state: &'a State,
+    /// Tensions that were sent last (N).
+    pub u_previous: &'a [f64],
+    /// Tensions that act beside the commanded ones (N): the observer's estimate of disturbances; empty for none.
+    pub disturbance: &'a [f64],
+    /// Desired outputs at the end of the lookahead.
+    pub goal: Goal<'a>,
+    /// Obstacles now (the barrier measures the approach from here).
+    pub now: &'a ObstacleSet,
+    /// The same obstacles at the end of the lookahead, in the same order.
+    pub ahead: &'a ObstacleSet,
+}
+
+/// Which branch gave the tensions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Branch {
+    /// Safe subspace.
+    Safe,
+    /// Warning subspace.
+    Warning,
+}
+
+/// How a planning step ended. None of these is an error: the tensions are bounded and finite in every case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// Dynamics and optimisation converged.
+    Converged,
+    /// The configured number of iterations was used (in receding use the normal end).
+    IterationLimit,
+    /// The time budget ended the step; the best so far goes out.
+    BudgetSpent,
+    /// The step could not be linearised; the last tensions are kept.
+    Singular,
+}
+
+/// Report of one planning step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Report {
+    /// How it ended.
+    pub status: Status,
+    /// Which branch planned.
+    pub branch: Branch,
+    /// Newton iterations of the outer loop.
+    pub iterations: usize,
+    /// Norm of the last correction of q.
+    pub correction: f64,
+    /// KKT residual of the last complementarity problem; NaN where the swarm alone planned.
+    pub kkt_residual: f64,
+    /// True where the distance rows had no common solution and were relaxed.
+    pub relaxed: bool,
+    /// Swarm sweeps of the whole step.
+    pub sweeps: usize,
+    /// Swarm evaluations of the whole step.
+    pub evaluations: usize,
+    /// Cost (15a) at the planned state.
+    pub cost: f64,
+    /// Smallest surface distance of the planned state less the inflation (m); infinite without obstacles.
+    pub distance_min: f64,
+}
+
+/// The combined planner of one arm; everything is made by [`Planner::new`].
+#[derive(Debug)]
+pub struct Planner {
+    /// Its arm.
+    pub arm: Arm,
+    config: PlannerConfig,
+    scheme: Scheme,
+    stepper: Stepper,
+    map: AffineMap,
+    quadratic: Quadratic,
+    solver: Solver,
+    swarm: Swarm,
+    body: Body,
+    warning: WarningState,
+    weight_tension: f64,
+    weight_change: Vec<f64>,
+    box_low: Vec<f64>,
+    box_high: Vec<f64>,
+    rate_max: f64,
+    low: Vec<f64>,
+    high: Vec<f64>,
+    /// u_{k-1} inside the box.
+    previous: Vec<f64>,
+    u: Vec<f64>,
+    effective: Vec<f64>,
+    candidate: Vec<f64>,
+    next: State,
+    dx: Vec<f64>,
+    frames: Frames,
+    frames_now: Frames,
+    jacobians: Vec<Matrix3x4<f64>>,
+    pairs: PairBuffers,
+    scratch: Vec<f64>,
+}
+
+#[derive(Debug)]
+struct Frames {
+    r: Vec<Vector3<f64>>,
+    t: Vec<Vector3<f64>>,
+}
+
+#[derive(Debug)]
+struct PairBuffers {
+    rows: Vec<Proximity>,
+    required: Vec<f64>,
+    length: Vec<f64>,
+    origin: Vec<f64>,
+    slope: Vec<f64>,
+    c: Vec<f64>,
+    d: Vec<f64>,
+}
+
+impl Planner {
+    /// Builds all buffers. `change` is W's diagonal entry per segment, `tension` R's (both as in the paper, for a
+    /// period equal to the lookahead; W is multiplied by lookahead/period here). Allocates; [`Planner::plan`] does not.
+    pub fn new(arm_config: &ArmConfig, config: &PlannerConfig, tension: f64, change: &[f64]) -> Self {
+        let arm = Arm::new(arm_config);
+        let (n, nc) = (arm.node_count(), arm.cable_count());
+        let body =
+            Body::with_capacity(&BodyGeometry::from_arm(arm_config), config.body, config.body_radius_m, PAIRS_MAX);
+        let frames = || Frames { r: vec![Vector3::zeros(); n + 1], t: vec![Vector3::zeros(); n + 1] };
+        let pace = config.lookahead_s / config.period_s;
+        Self {
+            config: config.clone(),
+            scheme: Scheme::new(arm_config.rho_inf),
+            stepper: Stepper::new(&arm),
+            map: AffineMap::new(&arm),
+            quadratic: Quadratic::new(&arm),
+            solver: Solver::new(nc, PAIRS_MAX),
+            swarm: Swarm::new(nc, &config.swarm, 3),
+            body,
+            warning: WarningState::from_config(config),
+            weight_tension: tension,
+            weight_change: arm.cable_segment.iter().map(|&s| change[s] * pace).collect(),
+            box_low: vec![arm_config.tension_n_min; nc],
+            box_high: vec![arm_config.tension_n_max; nc],
+            rate_max: arm_config.tension_rate_npsmax * config.period_s,
+            low: vec![0.0; nc],
+            high: vec![0.0; nc],
+            previous: vec![0.0; nc],
+            u: vec![0.0; nc],
+            effective: vec![0.0; nc],
+            candidate: vec![0.0; nc],
+            next: State::at_rest(arm.straight()),
+            dx: vec![0.0; BLOCK * n],
+            frames: frames(),
+            frames_now: frames(),
+            jacobians: vec![Matrix3x4::zeros(); n + 1],
+            pairs: PairBuffers {
+                rows: Vec::with_capacity(PAIRS_MAX),
+                required: Vec::with_capacity(PAIRS_MAX),
+                length: Vec::with_capacity(PAIRS_MAX),
+                origin: vec![0.0; 3 * PAIRS_MAX],
+                slope: vec![0.0; 3 * PAIRS_MAX * nc],
+                c: vec![0.0; PAIRS_MAX * nc],
+                d: vec![0.0; PAIRS_MAX],
+            },
+            scratch: vec![0.0; 4 * arm.segment_count()],
+            arm,
+        }
+    }
+
+    /// Tensions of the last plan (N), inside the box always.
+    pub fn tensions(&self) -> &[f64] {
+        &self.u
+    }
+
+    /// State planned for the end of the lookahead.
+    pub fn planned(&self) -> &State {
+        &self.next
+    }
+
+    /// Settings.
+    pub fn config(&self) -> &PlannerConfig {
+        &self.config
+    }
+
+    /// The body that distances are measured from.
+    pub fn body_mut(&mut self) -> &mut Body {
+        &mut self.body
+    }
+
+    /// Plans one step. `stop` tells whether the time is over; it is asked once per Newton iteration and per sweep.
+    /// Does not allocate.
+    pub fn plan(
+        &mut self,
+        inputs: &Inputs<'_>,
+        rng: &mut Xoshiro256PlusPlus,
+        stop: &mut dyn FnMut() -> bool,
+    ) -> Report {
+        let eta = self.config.lookahead_s;
+        let rates = self.scheme.rates(eta);
+        let mut next = std::mem::take(&mut self.next);
+        self.scheme.predict(eta, inputs.state, &mut next);
+        for i in 0..self.u.len() {
+            let u = inputs.u_previous[i].clamp(self.box_low[i], self.box_high[i]);
+            self.low[i] = (u - self.rate_max).max(self.box_low[i]);
+            self.high[i] = (u + self.rate_max).min(self.box_high[i]);
+            self.previous[i] = u;
+        }
+        self.u.copy_from_slice(&self.previous);
+        let mut report = Report {
+            status: Status::IterationLimit,
+            branch: Branch::Safe,
+            iterations: 0,
+            correction: f64::INFINITY,
+            kkt_residual: 0.0,
+            relaxed: false,
+            sweeps: 0,
+            evaluations: 0,
+            cost: f64::NAN,
+            distance_min: f64::INFINITY,
+        };
+        let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
+        self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
+        while report.iterations < self.config.newton_iterations_max {
+            if obstacles {
+                self.watch(&next, inputs, &mut report);
+            }
+            if self.linearize(&next, inputs, rates).is_err() {
+                report.status = Status::Singular;
+                break;
+            }
+            self.quadratic.build(
+                &self.arm,
+                &next,
+                rates,
+                &self.map,
+                &inputs.goal,
+                self.weight_tension,
+                &self.weight_change,
+                &self.previous,
+            );
+            self.account_for_disturbance(inputs.disturbance);
+            match report.branch {
+                Branch::Safe => self.solve_safe(&mut report),
+                Branch::Warning => self.solve_warning(&next, inputs, rng, stop, &mut report),
+            }
+            for i in 0..self.u.len() {
+                self.effective[i] = self.u[i] + inputs.disturbance.get(i).copied().unwrap_or(0.0);
+            }
+            self.map.evaluate_into(&self.effective, &mut self.dx);
+            report.correction = self.stepper.apply(&self.dx, rates, &mut next);
+            report.iterations += 1;
+            if !report.correction.is_finite() {
+                report.status = Status::Singular;
+                break;
+            }
+            if report.correction < self.config.newton_tolerance {
+                // A safe plan may have ended inside the warning distance: then it is not yet a plan.
+                if obstacles && report.branch == Branch::Safe {
+                    self.watch(&next, inputs, &mut report);
+                    if report.branch == Branch::Warning {
+                        continue;
+                    }
+                }
+                report.status = Status::Converged;
+                break;
+            }
+            if stop() {
+                report.status = Status::BudgetSpent;
+                break;
+            }
+        }
+        if report.status == Status::Singular {
+            // Nothing that was computed can be trusted: hold what is known to be bounded.
+            self.u.copy_from_slice(&self.previous);
+        }
+        self.scheme.finish(inputs.state, &mut next);
+        report.cost = inputs.goal.error_cost(&self.arm, &next, &mut self.scratch)
+            + tension_cost(self.weight_tension, &self.weight_change, &self.u, &self.previous);
+        self.next = next;
+        report
+    }
+
+    /// Finds the pairs within reach of the iterate and decides on the subspace; a step that once was in the warning
+    /// subspace stays there.
+    fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) {
+        let c = &self.config;
+        self.arm.frames_into(&next.q, &mut self.frames.r, &mut self.frames.t);
+        let reach = c.clearance_m + c.warning_distance_m + c.warning_hysteresis_m + REACH_M;
+        let found = self.body.find(&self.frames.r, &self.frames.t, inputs.ahead, reach);
+        report.distance_min = found.minimum;
+        self.pairs.rows.clear();
+        self.pairs.rows.extend_from_slice(found.rows);
+        if self.warning.update(found.minimum) {
+            report.branch = Branch::Warning;
+        }
+    }
+
+    fn linearize(&mut self, next: &State, inputs: &Inputs<'_>, rates: crate::model::Rates) -> Result<(), Singular> {
+        for i in 0..self.u.len() {
+            self.effective[i] = self.u[i] + inputs.disturbance.get(i).copied().unwrap_or(0.0);
+        }
+        self.stepper.linearize(&self.arm, &Motion::from(next), &self.effective, rates)?;
+        self.stepper.affine_map_into(&mut self.map);
+        Ok(())
+    }
+
+    /// The quadratic was built for the tensions that act; shift it to the tensions that are commanded.
+    fn account_for_disturbance(&mut self, disturbance: &[f64]) {
+        if disturbance.is_empty() {
+            return;
+        }
+        let n = self.u.len();
+        for i in 0..n {
+            // S_y^T Q S_y w: A without the weights on the commanded tensions.
+            let weights = self.weight_tension + self.weight_change[i];
+            let row: f64 = self.quadratic.a[i * n..(i + 1) * n].iter().zip(disturbance).map(|(a, w)| a * w).sum();
+            self.candidate[i] = row - weights * disturbance[i];
+        }
+        // (e0 + S(u + w))^T Q (e0 + S(u + w)): linear part gains S^T Q S w, constant part 2 b_y.w + w^T S^T Q S w.
+        for i in 0..n {
+            let change = &self.weight_change[i];
+            let b_output = self.quadratic.b[i] + change * self.previous[i];
+            self.quadratic.c += disturbance[i] * (2.0 * b_output + self.candidate[i]);
+        }
+        for i in 0..n {
+            self.quadratic.b[i] += self.candidate[i];
+        }
+    }
+
+    fn solve_safe(&mut self, report: &mut Report) {
+        let problem =
+            Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
+        let solved = self.solver.solve(&problem, &mut self.u);
+        report.kkt_residual = solved.kkt_residual;
+    }
+
+    fn solve_warning(
+        &mut self,
+        next: &State,
+        inputs: &Inputs<'_>,
+        rng: &mut Xoshiro256PlusPlus,
+        stop: &mut dyn FnMut() -> bool,
+        report: &mut Report,
+    ) {
+        self.linearize_pairs(next, inputs);
+        let rows = self.pairs.rows.len();
+        let nc = self.u.len();
+        let branch = self.config.warning;
+        let complementarity = matches!(branch, WarningBranch::Seeded | WarningBranch::Complementarity);
+        let mut strict = None;
+        if complementarity {
+            self.candidate.copy_from_slice(&self.u);
+            let problem = Problem {
+                a: &self.quadratic.a,
+                b: &self.quadratic.b,
+                lower: &self.low,
+                upper: &self.high,
+                c: &self.pairs.c[..rows * nc],
+                d: &self.pairs.d[..rows],
+            };
+            let solved = self.solver.solve(&problem, &mut self.candidate);
+            report.kkt_residual = solved.kkt_residual;
+            report.relaxed = solved.status == complementarity::Status::Relaxed;
+            if branch == WarningBranch::Complementarity {
+                self.u.copy_from_slice(&self.candidate);
+                return;
+            }
+            let violation = (0..rows)
+                .map(|r| {
+                    let c = &self.pairs.c[r * nc..(r + 1) * nc];
+                    -(self.pairs.d[r] + c.iter().zip(&self.candidate).map(|(c, u)| c * u).sum::<f64>())
+                })
+                .fold(0.0f64, f64::max);
+            strict = Some(violation + 1e-9);
+        } else {
+            report.kkt_residual = f64::NAN;
+        }
+        let pairs = Pairs {
+            rows: &self.pairs.rows,
+            required: &self.pairs.required,
+            length: &self.pairs.length,
+            clearance: self.config.clearance_m,
+            origin: &self.pairs.origin[..3 * rows],
+            slope: &self.pairs.slope[..3 * rows * nc],
+            obstacles: inputs.ahead,
+        };
+        let all: [&[f64]; 3] = [&self.previous, &self.u, &self.candidate];
+        let seeds = if complementarity { &all[..] } else { &all[..2] };
+        let variant = if branch == WarningBranch::StandardSwarm { Variant::Standard } else { Variant::Improved };
+        let found = self.swarm.search(
+            variant,
+            &self.config.swarm,
+            &self.quadratic,
+            &pairs,
+            &self.low,
+            &self.high,
+            seeds,
+            strict,
+            rng,
+            stop,
+        );
+        report.sweeps += found.sweeps;
+        report.evaluations += found.evaluations;
+        if found.cost.is_finite() {
+            self.u.copy_from_slice(self.swarm.answer());
+        }
+    }
+
+    /// Positions of the pairs' body points and their distances as affine functions of the tensions.
+    fn linearize_pairs(&mut self, next: &State, inputs: &Inputs<'_>) {
+        let nc = self.u.len();
+        for i in 1..=self.arm.node_count() {
+            self.jacobians[i] = rotation_jacobians(&self.arm.pose(&next.q, i).1)[0];
+        }
+        self.pairs.required.clear();
+        self.pairs.length.clear();
+        for (k, row) in self.pairs.rows.iter().enumerate() {
+            let now = row.point.combine(&self.frames_now.r, &self.frames_now.t);
+            let d_now = inputs.now.as_slice()[row.obstacle].distance(&now).0 - row.inflation;
+            self.pairs.required.push(required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref()));
+            self.pairs.length.push(inputs.ahead.as_slice()[row.obstacle].penalty_length());
+            let slope = &mut self.pairs.slope[3 * k * nc..3 * (k + 1) * nc];
+            slope.fill(0.0);
+            let mut origin = row.position;
+            let i = row.point.element;
+            let [w0, w1, w2, w3] = row.point.weights;
+            for (node, wr, wt) in [(i, w0, w1), (i + 1, w2, w3)] {
+                if node == 0 {
+                    continue;
+                }
+                let at = BLOCK * (node - 1);
+                for c in 0..3 {
+                    // Node's position row and its tangent's four quaternion rows.
+                    let mut add = |f: f64, r: usize| {
+                        origin[c] += f * self.map.x0[r];
+                        for (s, x) in slope[c * nc..(c + 1) * nc].iter_mut().zip(self.map.row(r)) {
+                            *s += f * x;
+                        }
+                    };
+                    add(wr, at + c);
+                    for p in 0..4 {
+                        add(wt * self.jacobians[node][(c, p)], at + 3 + p);
+                    }
+                }
+            }
+            // The swarm and the rows see the commanded tensions; what acts beside them moves the origin.
+            for c in 0..3 {
+                origin[c] +=
+                    slope[c * nc..(c + 1) * nc].iter().zip(inputs.disturbance).map(|(s, w)| s * w).sum::<f64>();
+            }
+            self.pairs.origin[3 * k..3 * k + 3].copy_from_slice(origin.as_slice());
+            let n = row.normal;
+            self.pairs.d[k] = row.distance + n.dot(&(origin - row.position)) - self.pairs.required[k];
+            let c = &mut self.pairs.c[k * nc..(k + 1) * nc];
+            for (j, c) in c.iter_mut().enumerate() {
+                *c = n[0] * slope[j] + n[1] * slope[nc + j] + n[2] * slope[2 * nc + j];
+            }
+        }
+    }
+}

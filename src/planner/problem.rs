@@ -1,0 +1,204 @@
+//! Problem (15) on the affine map (11): outputs (16), (41), (45) and the cost as a quadratic of the tensions.
+
+use crate::integrator::AffineMap;
+use crate::math::block_tridiagonal::BLOCK;
+use crate::model::{Arm, Rates, State};
+use nalgebra::{Vector3, Vector4};
+
+/// Desired outputs with their weights Q.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Goal<'a> {
+    /// (41)-(42): the tip's coordinates, with rates of all nodes wanted at zero.
+    Tip {
+        /// Position (m, base frame).
+        position: Vector3<f64>,
+        /// Quaternion (body to base); either sign.
+        quaternion: Vector4<f64>,
+        /// Weight on position (per m^2) and quaternion.
+        pose: f64,
+        /// Weight on the tip's rates.
+        rate: f64,
+        /// Weight on the other nodes' rates.
+        damping: f64,
+    },
+    /// (45)-(46): average curvatures of the segments, with rates wanted at zero.
+    Shape {
+        /// Curvatures (1/m), `(y, z)` segment by segment.
+        curvatures: &'a [f64],
+        /// Weight on curvatures and their rates.
+        weight: f64,
+    },
+}
+
+impl Goal<'_> {
+    /// The quaternion in the hemisphere of the tip's, so that the error is the short way round.
+    fn near(quaternion: &Vector4<f64>, tip: &Vector4<f64>) -> Vector4<f64> {
+        if quaternion.dot(tip) < 0.0 { -quaternion } else { *quaternion }
+    }
+
+    /// `(y - yd)^T Q (y - yd)` at a state.
+    pub fn error_cost(&self, arm: &Arm, state: &State, scratch: &mut [f64]) -> f64 {
+        match *self {
+            Self::Tip { position, quaternion, pose, rate, damping } => {
+                let n = arm.node_count();
+                let (r, p) = arm.pose(&state.q, n);
+                let error = (r - position).norm_squared() + (p - Self::near(&quaternion, &p)).norm_squared();
+                let sum = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+                let (others, tip) = state.qd.split_at(7 * (n - 1));
+                pose * error + rate * sum(tip) + damping * sum(others)
+            }
+            Self::Shape { curvatures, weight } => {
+                let (k, kd) = scratch.split_at_mut(curvatures.len());
+                arm.curvatures_into(&state.q, &state.qd, k, &mut kd[..curvatures.len()]);
+                let error: f64 = k.iter().zip(curvatures).map(|(k, d)| (k - d).powi(2)).sum();
+                weight * (error + kd[..curvatures.len()].iter().map(|x| x * x).sum::<f64>())
+            }
+        }
+    }
+}
+
+/// `J(u) = u^T A u + 2 b^T u + c` on the affine map, (15a).
+#[derive(Debug, Clone)]
+pub struct Quadratic {
+    /// `A = S_y^T Q S_y + R + W`, row-major.
+    pub a: Vec<f64>,
+    /// `b = S_y^T Q e_0 - W u_{k-1}`.
+    pub b: Vec<f64>,
+    /// Constant part.
+    pub c: f64,
+    /// Output sensitivities of the shape mode: curvatures, then rates; rows x cables.
+    rows: Vec<f64>,
+    errors: Vec<f64>,
+}
+
+impl Quadratic {
+    /// Room for an arm. Allocates.
+    pub fn new(arm: &Arm) -> Self {
+        let (nc, outputs) = (arm.cable_count(), 4 * arm.segment_count());
+        Self {
+            a: vec![0.0; nc * nc],
+            b: vec![0.0; nc],
+            c: 0.0,
+            rows: vec![0.0; outputs * nc],
+            errors: vec![0.0; outputs],
+        }
+    }
+
+    /// Builds the quadratic at an iterate `state` with its affine map; `tension` is R's diagonal entry, `change` W's
+    /// diagonal. Does not allocate.
+    pub fn build(
+        &mut self,
+        arm: &Arm,
+        state: &State,
+        rates: Rates,
+        map: &AffineMap,
+        goal: &Goal<'_>,
+        tension: f64,
+        change: &[f64],
+        u_previous: &[f64],
+    ) {
+        let nc = map.cables;
+        self.a.fill(0.0);
+        self.b.fill(0.0);
+        self.c = 0.0;
+        match *goal {
+            Goal::Tip { position, quaternion, pose, rate, damping } => {
+                let n = arm.node_count();
+                let (r, p) = arm.pose(&state.q, n);
+                let near = Goal::near(&quaternion, &p);
+                for i in 0..n {
+                    let tip = i + 1 == n;
+                    for c in 0..7 {
+                        let row = BLOCK * i + c;
+                        // The coordinate's and its rate's corrections are one row: dq' = cg dq.
+                        let rate_weight = if tip { rate } else { damping };
+                        let e_rate = state.qd[7 * i + c] + rates.cg * map.x0[row];
+                        let mut weight = rates.cg * rates.cg * rate_weight;
+                        let mut slope = rates.cg * rate_weight * e_rate;
+                        self.c += rate_weight * e_rate * e_rate;
+                        if tip {
+                            let e = map.x0[row] + if c < 3 { r[c] - position[c] } else { p[c - 3] - near[c - 3] };
+                            weight += pose;
+                            slope += pose * e;
+                            self.c += pose * e * e;
+                        }
+                        add_row(&mut self.a, &mut self.b, map.row(row), weight, slope);
+                    }
+                }
+            }
+            Goal::Shape { curvatures, weight } => {
+                let outputs = curvatures.len();
+                let (k, kd) = self.errors.split_at_mut(outputs);
+                arm.curvatures_into(&state.q, &state.qd, k, kd);
+                k.iter_mut().zip(curvatures).for_each(|(k, d)| *k -= d);
+                self.rows.fill(0.0);
+                let (rows_k, rows_d) = self.rows.split_at_mut(outputs * nc);
+                for (i, element) in arm.elements.iter().enumerate() {
+                    let sensitivity = arm.curvature_sensitivity(&state.q, &state.qd, i, rates.cg);
+                    for (node, k_rows, d_rows) in
+                        [(i, sensitivity.k[0], sensitivity.kd[0]), (i + 1, sensitivity.k[1], sensitivity.kd[1])]
+                    {
+                        if node == 0 {
+                            continue;
+                        }
+                        for o in 0..2 {
+                            let out = 2 * element.segment + o;
+                            for c in 0..4 {
+                                let row = BLOCK * (node - 1) + 3 + c;
+                                let (fk, fd) = (k_rows[(o, c)], d_rows[(o, c)]);
+                                k[out] += fk * map.x0[row];
+                                kd[out] += fd * map.x0[row];
+                                for (j, x) in map.row(row).iter().enumerate() {
+                                    rows_k[out * nc + j] += fk * x;
+                                    rows_d[out * nc + j] += fd * x;
+                                }
+                            }
+                        }
+                    }
+                }
+                for o in 0..2 * outputs {
+                    let e = self.errors[o];
+                    self.c += weight * e * e;
+                    add_row(&mut self.a, &mut self.b, &self.rows[o * nc..(o + 1) * nc], weight, weight * e);
+                }
+            }
+        }
+        for i in 0..nc {
+            // add_row fills the upper triangle.
+            for j in 0..i {
+                self.a[i * nc + j] = self.a[j * nc + i];
+            }
+            self.a[i * nc + i] += tension + change[i];
+            self.b[i] -= change[i] * u_previous[i];
+            self.c += change[i] * u_previous[i] * u_previous[i];
+        }
+    }
+
+    /// `J(u)` on the affine map.
+    pub fn cost(&self, u: &[f64]) -> f64 {
+        let n = u.len();
+        let mut s = self.c;
+        for i in 0..n {
+            let row: f64 = self.a[i * n..(i + 1) * n].iter().zip(u).map(|(a, u)| a * u).sum();
+            s += u[i] * (row + 2.0 * self.b[i]);
+        }
+        s
+    }
+}
+
+/// `a += weight s s^T` (upper triangle), `b += slope s`.
+fn add_row(a: &mut [f64], b: &mut [f64], s: &[f64], weight: f64, slope: f64) {
+    let n = s.len();
+    for i in 0..n {
+        b[i] += slope * s[i];
+        let f = weight * s[i];
+        for (x, y) in a[i * n + i..(i + 1) * n].iter_mut().zip(&s[i..]) {
+            *x += f * y;
+        }
+    }
+}
+
+/// `u^T R u + du^T W du`.
+pub fn tension_cost(tension: f64, change: &[f64], u: &[f64], u_previous: &[f64]) -> f64 {
+    u.iter().zip(u_previous).zip(change).map(|((u, v), w)| tension * u * u + w * (u - v).powi(2)).sum()
+}
