@@ -11,4 +11,5 @@ pub mod fault_shim;
 pub mod load;
 pub mod realtime;
 pub mod socketcan_bus;
+pub mod socketcand;
 pub mod virtual_bus;
