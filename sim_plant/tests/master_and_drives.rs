@@ -363,8 +363,7 @@ fn a_lost_answer_is_named_in_the_next_cycle() {
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     b.cycle(&mut writer, &[0; 3]);
-    let deaf = b.banks[0].1.drives_mut().pop().unwrap();
-    assert_eq!(deaf.node(), node(3));
+    b.banks[0].1 = DriveBank::new(b.banks[0].1.drives()[..2].to_vec());
     b.cycle(&mut writer, &[0; 3]);
     b.events.clear();
     b.cycle(&mut writer, &[0; 3]);
