@@ -170,7 +170,12 @@ impl MotorChannel {
         }
         let value = self.tension_n_max;
         if !(value.is_finite() && value > self.tension_n_min) {
-            return Err(ChannelError::Value { cable, key: "tension_n_max", value, range: "finite and above the least" });
+            return Err(ChannelError::Value {
+                cable,
+                key: "tension_n_max",
+                value,
+                range: "finite and above the least",
+            });
         }
         let value = self.home_length_m;
         if !value.is_finite() {
@@ -262,21 +267,22 @@ mod tests {
     use proptest::prelude::*;
 
     fn channel() -> impl Strategy<Value = MotorChannel> {
-        (0.005f64..0.05, 1.0f64..20.0, any::<bool>(), 0.5f64..20.0, 1000.0f64..1e6, any::<i32>(), -1.0f64..3.0).prop_map(
-            |(drum_radius_m, gear_ratio, reverse, rated_torque_nm, counts_per_turn, home_counts, home_length_m)| {
-                MotorChannel {
-                    drum_radius_m,
-                    gear_ratio,
-                    sense: if reverse { Sense::Reverse } else { Sense::Forward },
-                    rated_torque_nm,
-                    counts_per_turn,
-                    tension_n_min: 0.0,
-                    tension_n_max: 0.9 * gear_ratio * rated_torque_nm / drum_radius_m,
-                    home_counts,
-                    home_length_m,
-                }
-            },
-        )
+        (0.005f64..0.05, 1.0f64..20.0, any::<bool>(), 0.5f64..20.0, 1000.0f64..1e6, any::<i32>(), -1.0f64..3.0)
+            .prop_map(
+                |(drum_radius_m, gear_ratio, reverse, rated_torque_nm, counts_per_turn, home_counts, home_length_m)| {
+                    MotorChannel {
+                        drum_radius_m,
+                        gear_ratio,
+                        sense: if reverse { Sense::Reverse } else { Sense::Forward },
+                        rated_torque_nm,
+                        counts_per_turn,
+                        tension_n_min: 0.0,
+                        tension_n_max: 0.9 * gear_ratio * rated_torque_nm / drum_radius_m,
+                        home_counts,
+                        home_length_m,
+                    }
+                },
+            )
     }
 
     proptest! {

@@ -123,7 +123,10 @@ fn master(bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId], torque: i16) -
         }
     }
     for (node, f) in nodes.iter().zip(decoder.feedback()) {
-        println!("node={node} statusword={:#06x} position={} torque={}", f.statusword, f.position_counts, f.torque_permille);
+        println!(
+            "node={node} statusword={:#06x} position={} torque={}",
+            f.statusword, f.position_counts, f.torque_permille
+        );
     }
     master.return_writer(writer);
     master.set_goal(Goal::Disabled, monotonic_ns());
