@@ -1,3 +1,4 @@
 //! The simulated arm and its drives.
 
 pub mod drive;
+pub mod truth;
