@@ -107,7 +107,9 @@ impl Outcome {
     }
 }
 
-fn h0(c: &PlannerConfig) -> f64 { c.period_s.min(0.005) }
+fn h0(c: &PlannerConfig) -> f64 {
+    c.period_s.min(0.005)
+}
 /// Runs one case with one seed.
 pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let half = Scenario::half_shape();
@@ -118,7 +120,9 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let mut observer_config = settings.observer.clone();
     let mut plant = TruthSettings::study(seed);
     plant.step_s = plant.step_s.min(planner_config.period_s);
-    if std::env::var_os("IDEAL").is_some() { plant = TruthSettings::ideal(h0(&planner_config)); }
+    if std::env::var_os("IDEAL").is_some() {
+        plant = TruthSettings::ideal(h0(&planner_config));
+    }
     match case {
         Case::Friction => plant.capstan_friction = 0.1,
         Case::Latency => {
@@ -158,11 +162,8 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         .map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
 
     let mut u = start.tensions.clone();
-    let mut outcome = Outcome {
-        distance_points: (f64::INFINITY, 0.0),
-        distance_arm: (f64::INFINITY, 0.0),
-        ..Default::default()
-    };
+    let mut outcome =
+        Outcome { distance_points: (f64::INFINITY, 0.0), distance_arm: (f64::INFINITY, 0.0), ..Default::default() };
     let mut settled = false;
     let approach_ticks = if scenario.is_tip() { (APPROACH_S / h).round() as usize } else { 0 };
     let mut approached = 0;
@@ -203,7 +204,10 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         scenario.move_obstacles(begins, &mut now);
         scenario.move_obstacles(begins + planner_config.lookahead_s, &mut ahead);
         let mut from = observer.predicted().clone();
-        if std::env::var_os("ZERO_ACC").is_some() { from.qdd.fill(0.0); from.a.fill(0.0); }
+        if std::env::var_os("ZERO_ACC").is_some() {
+            from.qdd.fill(0.0);
+            from.a.fill(0.0);
+        }
         let clock = Instant::now();
         // Half of (44) is held with the full weight: the ramp of (46) belongs to the paper's example.
         let report = planner.plan(
@@ -277,7 +281,16 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
                 .unwrap();
             }
         }
-        if std::env::var_os("DBG").is_some() && k % 10 == 0 { println!("{time:.2} err {error:.4} {:.5} rate {:.3} rough {:.3} u {:.1?} beta {:.2?}", update.innovation_max, update.rate_max, change.sqrt(), &u, observer.disturbance_moments()); }
+        if std::env::var_os("DBG").is_some() && k % 10 == 0 {
+            println!(
+                "{time:.2} err {error:.4} {:.5} rate {:.3} rough {:.3} u {:.1?} beta {:.2?}",
+                update.innovation_max,
+                update.rate_max,
+                change.sqrt(),
+                &u,
+                observer.disturbance_moments()
+            );
+        }
         if !scenario.is_tip() {
             let wanted = scenario.curvatures();
             let error = truth.curvatures().iter().zip(wanted).map(|(k, w)| (k - w).abs()).fold(0.0, f64::max);
