@@ -300,10 +300,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 _ => faults.push(Fault::EstimateLost),
             }
         }
-        if self.supervisor.mode() != Mode::Starting {
-            return Progress::Done;
-        }
-        if !torque {
+        if self.supervisor.mode() != Mode::Starting || !torque {
             return Progress::Drives;
         }
         if self.sent != self.settings.start_tensions_n {

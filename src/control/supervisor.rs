@@ -309,13 +309,15 @@ impl Supervisor {
         self.late_in_row = if seen.late && self.mode.is_planning() { self.late_in_row.saturating_add(1) } else { 0 };
         self.find_faults(seen);
         let mut reset = false;
+        // `progress` speaks of a start that was under way when the tick began.
+        let starting = self.mode == Mode::Starting;
         let answer = seen.request.map(|request| {
             let refusal = self.answer(request, seen, &mut reset).err();
             let answer = Answer { request, refusal };
             self.event(seen, EventKind::Request(answer));
             answer
         });
-        self.advance(seen);
+        self.advance(seen, starting);
         let (action, late) = self.action();
         let mut limits = self.held_by;
         late.into_iter().for_each(|limit| limits.insert(limit));
@@ -470,10 +472,10 @@ impl Supervisor {
     }
 
     /// What happens by itself.
-    fn advance(&mut self, seen: &Observed) {
+    fn advance(&mut self, seen: &Observed, starting: bool) {
         let expired = seen.obstacles != ObstacleDemand::Proceed;
         match self.mode {
-            Mode::Starting if seen.progress == Progress::Done => self.go(Mode::Holding, Cause::Done, seen),
+            Mode::Starting if starting && seen.progress == Progress::Done => self.go(Mode::Holding, Cause::Done, seen),
             Mode::Tracking if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
             Mode::Tracking if !seen.target_fresh => self.go(Mode::Holding, Cause::Limit(Limit::TargetStale), seen),
             Mode::Homing if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),

@@ -90,7 +90,7 @@ fn in_mode(mode: Mode) -> Supervisor {
 /// Asks in a mode; the mode afterwards, or the refusal.
 fn ask(mode: Mode, request: Request, seen: &Observed) -> Result<Mode, Refusal> {
     let mut s = in_mode(mode);
-    // The start stays where it is unless its progress says otherwise.
+    // A start that is done would go on by itself.
     let progress = if mode == Mode::Starting { Progress::Drives } else { seen.progress };
     let decision = s.step(&Observed { request: Some(request), progress, ..*seen });
     let answer = decision.answer.expect("every request is answered");
