@@ -345,7 +345,7 @@ fn a_deadline_that_is_over_at_once_still_gives_bounded_tensions_and_says_so() {
         seen |= rig.cycle.record_mut().limits.contains(Limit::BudgetSpent);
     }
     assert!(seen);
-    assert_eq!(rig.cycle.mode(), Mode::Tracking);
+    assert_eq!(rig.cycle.mode(), Mode::Tracking, "{:?}", rig.fault());
 }
 
 #[test]
@@ -361,6 +361,7 @@ fn the_same_seed_gives_the_same_tensions_bit_for_bit_and_another_seed_does_not()
         for _ in 0..200 {
             rig.step(None);
             bits.extend(rig.cycle.tensions_n().iter().map(|u| u.to_bits()));
+            assert_eq!(rig.cycle.mode(), Mode::Tracking, "{:?}", rig.fault());
             sweeps += rig.cycle.record_mut().plan.unwrap().sweeps;
         }
         assert!(sweeps > 0, "the swarm, which is all that is random, must have run");
