@@ -87,7 +87,8 @@ pub struct Observer {
     /// `V = B T`, row-major 11N x angles, and `S^-1 V`.
     pub(super) v: Vec<f64>,
     pub(super) sv: Vec<f64>,
-    scratch: Vec<f64>,
+    /// The panel of moments is dense: every column counts in every node.
+    dense: Vec<usize>,
     pub(super) small_a: Vec<f64>,
     pub(super) small_b: Vec<f64>,
     pub(super) dx: Vec<f64>,
@@ -139,7 +140,7 @@ impl Observer {
             effective: vec![0.0; nc],
             v: vec![0.0; BLOCK * n * angles],
             sv: vec![0.0; BLOCK * n * angles],
-            scratch: vec![0.0; BLOCK * angles],
+            dense: vec![angles; n],
             small_a: vec![0.0; angles * angles],
             small_b: vec![0.0; angles],
             dx: vec![0.0; BLOCK * n],
@@ -323,7 +324,7 @@ impl Observer {
             }
         }
         self.sv.copy_from_slice(&self.v);
-        self.stepper.factor.solve_panel_in_place(n, &mut self.sv, &mut self.scratch);
+        self.stepper.factor.solve_panel_in_place(n, &self.dense, &mut self.sv);
     }
 
     /// Disturbance as tensions, and the model's steps through the latency.
