@@ -6,7 +6,7 @@
 use super::budget::{Deadline, Phase};
 use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
-use super::guard::{EncoderGuard, EncoderReadings, Floor, InnovationGuard, TensionGuard};
+use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::{Distance, Record};
@@ -56,7 +56,7 @@ pub struct TickInputs<'a> {
     pub encoders: EncoderReadings<'a>,
     /// Measured tensions (N), for the record alone; empty for none, NaN where not valid.
     pub tensions_measured_n: &'a [f64],
-    /// Obstacles at `now_ns` and at `now_ns` plus the lookahead.
+    /// Obstacles when the tensions begin to act, [`Cycle::latency_s`] after `now_ns`, and one lookahead later.
     pub obstacles: &'a ObstaclePair,
     /// What the obstacle inputs ask for.
     pub demand: ObstacleDemand,
@@ -97,11 +97,11 @@ pub struct Cycle<E, P = Planner> {
     shape_planner: P,
     supervisor: Supervisor,
     encoders: EncoderGuard,
-    innovation: InnovationGuard,
     tensions: TensionGuard,
     ramp: Ramp,
     body: Body,
     period_ns: u64,
+    latency_s: f64,
     lead_tip_s: f64,
     lead_shape_s: f64,
 
@@ -112,6 +112,7 @@ pub struct Cycle<E, P = Planner> {
     last_was_tip: bool,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
+    measured: Vec<bool>,
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -154,27 +155,31 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let scheme = Scheme::new(settings.arm.rho_inf);
         let period_s = settings.timing.period_s;
         let weights = &settings.weights;
+        let latency_s = settings.observer.latency_ticks as f64 * period_s;
         let lead = |rate, pose| {
-            planner.lookahead_s + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
+            latency_s
+                + planner.lookahead_s
+                + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
         };
         Self {
             supervisor: Supervisor::new(&settings.timing, &settings.observer),
             encoders: EncoderGuard::new(&settings.guard, cables),
-            innovation: InnovationGuard::new(&settings.observer, period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
             period_ns: seconds_to_ns(period_s),
+            latency_s,
             lead_tip_s: lead(weights.tip.rate, weights.tip.pose),
             // One weight for curvatures and rates (46).
             lead_shape_s: lead(weights.shape.curvature, weights.shape.curvature),
             observing: false,
-            estimate: Estimate { innovation_max_rad: f64::NAN, settled: false },
+            estimate: Estimate::default(),
             held: Held::Shape([0.0; CURVATURES_MAX]),
             last_was_tip: false,
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
+            measured: vec![false; cables],
             safe: vec![settings.safe_tension_n(); cables],
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -193,7 +198,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         }
     }
 
-    /// How far ahead of the tick a target of this kind is wanted (s): lookahead plus lag, or plus `lead_s`.
+    /// Time (s) from a tick until its tensions act, beyond the ordinary cycle.
+    pub const fn latency_s(&self) -> f64 {
+        self.latency_s
+    }
+
+    /// How far ahead of the tick a target of this kind is wanted (s): latency, lookahead, and the lag of the rate weights
+    /// or `lead_s` in its place.
     pub const fn lead_s(&self, tip: bool) -> f64 {
         if tip { self.lead_tip_s } else { self.lead_shape_s }
     }
@@ -289,13 +300,22 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         self.applied.copy_from_slice(if torque { &self.sent } else { &self.zeros });
         if self.observing {
-            match self.estimator.update(&self.applied, self.encoders.lengths_m()) {
-                Ok(estimate) if self.estimator.state().is_finite() => {
+            let bridged = self.encoders.bridged();
+            self.measured.iter_mut().enumerate().for_each(|(cable, m)| *m = !bridged.contains(cable));
+            match self.estimator.update(&self.applied, self.encoders.lengths_m(), &self.measured) {
+                Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
-                    let watched = self.supervisor.mode() != Mode::Starting;
-                    let fault = if watched { self.innovation.check(estimate.innovation_max_rad) } else { None };
-                    fault.into_iter().for_each(|fault| faults.push(fault));
+                    if self.supervisor.mode() != Mode::Starting {
+                        let (z, growth) = (estimate.innovation_max_rad, estimate.innovation_growth_rad);
+                        if !z.is_finite() {
+                            faults.push(Fault::EstimateLost);
+                        } else if estimate.beyond_bound {
+                            faults.push(Fault::InnovationBound { innovation_rad: z });
+                        } else if estimate.growing {
+                            faults.push(Fault::InnovationGrowth { growth_rad: growth });
+                        }
+                    }
                 }
                 _ => faults.push(Fault::EstimateLost),
             }
@@ -315,7 +335,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                     self.observing = true;
                     self.estimate.settled = false;
                     self.encoders.restart(inputs.now_ns);
-                    self.innovation.reset();
                 }
                 _ => faults.push(Fault::NoStart),
             }
@@ -475,7 +494,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         };
         let report = planner.plan(
             &Inputs {
-                state: self.estimator.state(),
+                state: self.estimator.predicted(),
                 u_previous: &self.sent,
                 disturbance: self.estimator.disturbance_n(),
                 goal,

@@ -3,10 +3,16 @@
 use crate::model::State;
 
 /// What an update found.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Estimate {
     /// Largest |z| (rad): the bend angles by which model and measurement differ.
     pub innovation_max_rad: f64,
+    /// Its growth within the configured window (rad).
+    pub innovation_growth_rad: f64,
+    /// The largest |z| is beyond its bound.
+    pub beyond_bound: bool,
+    /// The growth is beyond its limit.
+    pub growing: bool,
     /// Innovation and rates have stayed small for the configured time.
     pub settled: bool,
 }
@@ -30,14 +36,20 @@ pub trait Estimator {
     /// [`EstimatorFailure::NoStart`].
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure>;
 
-    /// Advances by one period to the time of `lengths_m` (m), with the tensions (N) that acted since the last update.
+    /// Advances by one period to the time of `lengths_m` (m). `sent_n` are the tensions (N) sent in the tick before, zero
+    /// where the drives gave no torque; `measured` tells which lengths are readings, the others are bridged by the model.
     ///
     /// # Errors
     /// [`EstimatorFailure::Step`].
-    fn update(&mut self, applied_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure>;
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure>;
 
-    /// The estimate at the time for which the next tensions are planned.
+    /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
+
+    /// The estimate at the time when tensions sent now begin to act: what is planned from.
+    fn predicted(&self) -> &State {
+        self.state()
+    }
 
     /// Tensions (N) that act beside the commanded ones; empty for none.
     fn disturbance_n(&self) -> &[f64];
