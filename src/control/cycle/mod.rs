@@ -3,22 +3,23 @@
 //! [`Cycle::tick`] is everything that must happen before the tensions are sent; [`Cycle::report`] completes the record
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
+mod report;
+
 use super::budget::{Deadline, Phase};
 use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
 use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
-use super::record::{Distance, Record};
+use super::record::Record;
 use super::settings::{Settings, seconds_to_ns};
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
 use super::target::{Target, TargetInput, lag_s};
-use super::{CABLES_MAX, CURVATURES_MAX, EventRing, NODES_MAX};
+use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
-use crate::math::quaternion::rotation;
 use crate::model::Arm;
 use crate::planner::{Goal, Inputs, Planner, Report, Status};
 use nalgebra::{Vector3, Vector4};
@@ -129,7 +130,8 @@ impl<E: Estimator> Cycle<E> {
     /// With the real planners. Allocates; nothing else here does.
     ///
     /// # Panics
-    /// If the arm has more cables or segments than a record holds, which the configuration does not permit.
+    /// If the arm has more cables or segments than a record holds, which the configuration does not permit, or start
+    /// tensions or home curvatures are not as many as the arm needs.
     pub fn new(settings: &Settings, estimator: E) -> Self {
         let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
         let planner = |tension, change: &[f64]| Planner::new(&settings.arm, &settings.planner, tension, change);
@@ -151,6 +153,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let arm = Arm::new(&settings.arm);
         let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
         assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
+        let (start, home) = (settings.start_tensions_n.len(), settings.home_curvatures_1pm.len());
+        assert!(start == cables && home == 2 * segments, "{start} start tensions, {home} home curvatures");
         let planner = &settings.planner;
         let scheme = Scheme::new(settings.arm.rho_inf);
         let period_s = settings.timing.period_s;
@@ -551,83 +555,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         self.tensions.check(&self.proposed, &self.applied, Floor::Zero, &mut self.sent);
     }
 
-    /// Completes the record of the tick that was done with `inputs`. Does not allocate. For after sending.
-    pub fn report(&mut self, inputs: &TickInputs<'_>) -> &Record {
-        let state = self.estimator.state();
-        let (cables, count) = (self.arm.cable_count(), 2 * self.arm.segment_count());
-        let r = &mut self.record;
-        r.tick = inputs.tick;
-        r.now_ns = inputs.now_ns;
-        r.mode = self.supervisor.mode();
-        r.fault = self.supervisor.latch().first;
-        r.fault_count = self.supervisor.latch().count;
-        r.drives = inputs.drives.phase;
-        r.late_in_row = self.supervisor.late_in_row();
-        r.events_dropped = self.supervisor.events_mut().dropped;
-        r.observing = self.observing;
-        r.settled = self.observing && self.estimate.settled;
-        r.innovation_max_rad = if self.observing { self.estimate.innovation_max_rad } else { f64::NAN };
-
-        r.cable_count = cables;
-        r.tension_command_n[..cables].copy_from_slice(&self.sent);
-        r.tension_measured_n.fill(f64::NAN);
-        copy(inputs.tensions_measured_n, &mut r.tension_measured_n[..cables]);
-        r.cable_length_m[..cables].copy_from_slice(self.encoders.lengths_m());
-        r.bridged = self.encoders.bridged();
-        r.encoder_capture_ns = inputs.encoders.capture_ns;
-
-        r.curvature_count = count;
-        r.curvature_1pm[..count].copy_from_slice(&self.curvatures[..count]);
-        r.innovation_rad.fill(f64::NAN);
-        copy(self.estimator.innovation_rad(), &mut r.innovation_rad[..count]);
-        r.disturbance_nm.fill(f64::NAN);
-        copy(self.estimator.disturbance_nm(), &mut r.disturbance_nm[..count]);
-
-        let tip = self.arm.tip(&state.q, &state.qd);
-        r.tip_position_m = tip.position.into();
-        r.tip_quaternion = tip.quaternion.into();
-        r.tip_velocity_mps = tip.velocity.into();
-        r.tip_angular_velocity_radps = (rotation(&tip.quaternion) * tip.angular_velocity).into();
-
-        r.target = inputs.target.map(|target| target.now);
-        r.target_sequence = inputs.target.map_or(0, |target| target.sequence);
-        (r.tip_error_m, r.quaternion_error, r.curvature_error_1pm) = (f64::NAN, f64::NAN, f64::NAN);
-        match r.target {
-            Some(Target::Tip { position_m, quaternion, .. }) => {
-                r.tip_error_m = (tip.position - position_m).norm();
-                let sign = if quaternion.dot(&tip.quaternion) < 0.0 { -1.0 } else { 1.0 };
-                r.quaternion_error = (tip.quaternion - sign * quaternion).norm();
-            }
-            Some(Target::Shape { curvatures_1pm, .. }) => {
-                let errors = self.curvatures[..count].iter().zip(&curvatures_1pm).map(|(k, d)| (k - d).abs());
-                r.curvature_error_1pm = errors.fold(0.0, f64::max);
-            }
-            None => {}
-        }
-
-        let nodes = self.arm.node_count();
-        r.node_stride = nodes.div_ceil(NODES_MAX).max(1);
-        r.node_count = nodes.div_ceil(r.node_stride);
-        for i in 0..r.node_count {
-            let node = ((i + 1) * r.node_stride).min(nodes) - 1;
-            r.nodes[i].copy_from_slice(&state.q[7 * node..7 * (node + 1)]);
-        }
-
-        self.arm.frames_into(&state.q, &mut self.positions, &mut self.tangents);
-        let obstacles = inputs.obstacles.now();
-        let measured = self.body.measure(&self.positions, &self.tangents, obstacles);
-        r.obstacle_count = obstacles.len();
-        for (k, obstacle) in obstacles.as_slice().iter().enumerate() {
-            r.distances[k] = Distance {
-                id: obstacle.id(),
-                along_arm_m: measured.along_arm[k],
-                at_points_m: measured.at_points[k],
-                growth_m: obstacle.growth(),
-            };
-        }
-        &self.record
-    }
-
     /// The record, for the caller to fill in the timing.
     pub const fn record_mut(&mut self) -> &mut Record {
         &mut self.record
@@ -638,9 +565,4 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
 enum Wanted {
     Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
     Shape([f64; CURVATURES_MAX]),
-}
-
-/// Copies as much as both have.
-fn copy(from: &[f64], to: &mut [f64]) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
 }
