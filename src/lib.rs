@@ -5,8 +5,12 @@
 pub mod collision;
 pub mod config;
 pub mod control;
+pub mod estimator;
 pub mod integrator;
 pub mod ipc;
 pub mod math;
 pub mod model;
 pub mod planner;
+pub mod recording;
+pub mod report;
+pub mod scenario;

@@ -1,5 +1,8 @@
 //! Claims about the collision module: closed forms, the search along the curve, linearisation, decision, penalty.
 
+// Helpers of tests, too, stop at what must not fail.
+#![allow(clippy::unwrap_used)]
+
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use parry3d_f64::math::Vector as ParryVector;
@@ -220,6 +223,39 @@ fn distances_agree_with_sampled_surfaces() {
 }
 
 #[test]
+fn points_of_a_hull_are_on_or_in_it_whatever_their_arrangement() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+    for case in 0..400 {
+        let mut points_m = hull_points(case, 4 + case as usize % 250);
+        for p in &mut points_m {
+            let norm = V::from(*p).norm();
+            *p = p.map(|x| match case % 4 {
+                0 => x,
+                1 => 0.2 * x / norm,
+                2 => (x * 20.0).round() / 20.0,
+                _ => (x * 7.0).round() / 7.0,
+            });
+        }
+        // A grid of few points may be flat.
+        let shape = match Shape::new(&ShapeConfig::Hull { points_m: points_m.clone() }) {
+            Ok(shape) => shape,
+            // A grid of few points may be flat.
+            Err(ShapeError::Flat { .. }) if case % 4 > 1 && points_m.len() < 12 => continue,
+            Err(refused) => panic!("case {case}: {refused}"),
+        };
+        for _ in 0..200 {
+            // Points themselves, and points between any two of them: many on the surface.
+            let mut pick = || V::from(points_m[rng.random_range(0..points_m.len())]);
+            let (a, b) = (pick(), pick());
+            for p in [a, a.lerp(&b, 0.3)] {
+                let (distance, normal) = shape.distance(&p);
+                assert!(distance < 1e-8 && (normal.norm() - 1.0).abs() < 1e-12, "case {case}: {distance:e}");
+            }
+        }
+    }
+}
+
+#[test]
 fn centres_and_axes_have_a_normal_that_leads_out() {
     for config in shapes() {
         let shape = shape(&config);
@@ -325,7 +361,6 @@ fn arm_distance_is_that_of_the_sampled_curve_for_every_shape() {
         let reach = 0.1;
         let found = body.find(&r, &t, &obstacles, reach);
         unresolved += found.unresolved;
-        if found.unresolved > 0 {}
         contacts += usize::from(found.minimum < 0.0);
         let curves = strands(&geometry, &r, &t);
         let brute = curves.iter().map(|c| brute_minimum(|x| obstacle.distance(&c(x)).0)).fold(f64::INFINITY, f64::min);
@@ -350,6 +385,19 @@ fn arm_distance_is_that_of_the_sampled_curve_for_every_shape() {
         }
     }
     assert!(contacts > 50 && unresolved == 0, "{contacts} {unresolved}");
+}
+
+#[test]
+fn joint_of_two_pieces_is_one_row() {
+    // Straight along -z; the ball's nearest point is exactly the node between elements 6 and 7.
+    let (geometry, r, t) = bent_arm(&mut Xoshiro256PlusPlus::seed_from_u64(0), 0.0);
+    let at = Isometry3::from_parts(Translation3::from(r[7] + V::y() * 0.2), UnitQuaternion::identity());
+    let obstacles = one(shape(&ShapeConfig::Ball { radius_m: 0.1 }), &at);
+    let mut body = Body::new(&geometry, BodyModel::Arm, 0.0);
+    let found = body.find(&r, &t, &obstacles, 0.3);
+    let here = found.rows.iter().filter(|w| (w.position - r[7]).norm() < 1e-6).count();
+    assert_eq!(here, 1, "{:?}", found.rows);
+    assert!((found.minimum - 0.1).abs() < 1e-12 && (found.rows[0].position - r[7]).norm() < 1e-6);
 }
 
 #[test]

@@ -155,3 +155,28 @@ fn the_improved_swarm_comes_as_near_to_the_optimum_as_the_reference_swarm() {
     }
     assert!(judged > 0);
 }
+
+#[test]
+fn the_tip_start_has_the_reference_tensions() {
+    for (file, data) in golden_files("u0") {
+        let config = arm_config(&data["params"]);
+        let arm = Arm::new(&config);
+        let nc = arm.cable_count();
+        let h = std::f64::consts::FRAC_1_SQRT_2;
+        for bend in [0.5, 1.0, 1.5] {
+            let mut state = State::at_rest(arm.bent(&[-bend, 0.0, 0.5 * bend, 0.0, bend, 0.0, -0.5 * bend, 0.0]));
+            let u = sinew::planner::tip_start(
+                &arm,
+                Vector3::new(0.6, 0.0, -2.4),
+                Vector4::new(h, 0.0, h, 0.0),
+                &vec![0.0; nc],
+                &vec![220.0; nc],
+                &mut state,
+            )
+            .unwrap();
+            let worst = u.iter().zip(numbers(&data["u0"])).fold(0.0f64, |a, (x, y)| a.max((x - y).abs()));
+            assert!(worst < 1e-3, "{file} bend {bend}: {worst} N");
+            assert_close(&file, &state.q, &numbers(&data["q0"]), 1e-6);
+        }
+    }
+}

@@ -13,17 +13,25 @@ use rustix::time::Timespec;
 
 /// CLOCK_MONOTONIC now (ns). Does not allocate; about 25 ns through the vDSO.
 pub fn monotonic_ns() -> u64 {
-    to_ns(rustix::time::clock_gettime(ClockId::Monotonic))
+    read(libc::CLOCK_MONOTONIC)
 }
 
 /// CLOCK_REALTIME now (ns since the epoch); only for the conversion of stamps that the kernel gives in it.
 pub(crate) fn realtime_ns() -> u64 {
-    to_ns(rustix::time::clock_gettime(ClockId::Realtime))
+    read(libc::CLOCK_REALTIME)
+}
+
+/// The C library's call and not rustix's, which allocates at its first use on kernels before 6.4 to find the vDSO.
+fn read(clock: libc::clockid_t) -> u64 {
+    let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: the pointer is to a live structure. It cannot fail: both clocks exist on every Linux.
+    unsafe { libc::clock_gettime(clock, &raw mut t) };
+    to_ns(t.tv_sec, t.tv_nsec)
 }
 
 #[allow(clippy::cast_sign_loss)] // clamped to zero first; the kernel gives no negative times here
-fn to_ns(t: Timespec) -> u64 {
-    (t.tv_sec.max(0) as u64).saturating_mul(1_000_000_000).saturating_add(t.tv_nsec.max(0) as u64)
+fn to_ns(seconds: i64, nanoseconds: i64) -> u64 {
+    (seconds.max(0) as u64).saturating_mul(1_000_000_000).saturating_add(nanoseconds.max(0) as u64)
 }
 
 /// A time in ns as the kernel's structure; times beyond what it can hold become its largest.
@@ -142,7 +150,8 @@ mod tests {
     #[test]
     fn times_survive_the_kernels_structure() {
         for ns in [0, 1, 999_999_999, 1_000_000_000, 1_000_000_001, u64::MAX] {
-            assert_eq!(to_ns(timespec(ns)), ns);
+            let t = timespec(ns);
+            assert_eq!(to_ns(t.tv_sec, t.tv_nsec), ns);
         }
     }
 }

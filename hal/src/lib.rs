@@ -9,6 +9,8 @@ pub mod cia402;
 pub mod clock;
 pub mod fault_shim;
 pub mod load;
+pub mod motor_bank;
 pub mod realtime;
 pub mod socketcan_bus;
+pub mod socketcand;
 pub mod virtual_bus;

@@ -9,6 +9,7 @@ use std::fmt;
 use std::io;
 
 use rustix::mm::MlockAllFlags;
+use rustix::process::Resource;
 use rustix::thread::CpuSet;
 use thiserror::Error;
 
@@ -155,7 +156,7 @@ fn set_fifo(priority: u8) -> Result<(), Refusal> {
             format!(
                 "the limit of real-time priorities is {} and {priority} was wanted: give the user `rtprio {priority}` in \
                  /etc/security/limits.d, the service `LimitRTPRIO={priority}`, or the program CAP_SYS_NICE",
-                limit(libc::RLIMIT_RTPRIO as u32)
+                limit(Resource::Rtprio)
             )
         },
     ))
@@ -182,20 +183,15 @@ fn lock_memory() -> Result<(), Refusal> {
         let text = format!(
             "the limit of locked memory is {} bytes: give the user `memlock unlimited` in /etc/security/limits.d, the \
              service `LimitMEMLOCK=infinity`, or the program CAP_IPC_LOCK",
-            limit(libc::RLIMIT_MEMLOCK as u32)
+            limit(Resource::Memlock)
         );
         (Some(e.raw_os_error()), text)
     })
 }
 
 /// The soft limit of a resource, in words.
-fn limit(resource: u32) -> String {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: the pointer is to a live structure; an unknown resource only gives an error.
-    if unsafe { libc::getrlimit(resource as _, &raw mut limit) } != 0 {
-        return "unknown".into();
-    }
-    if limit.rlim_cur == libc::RLIM_INFINITY { "unlimited".into() } else { limit.rlim_cur.to_string() }
+fn limit(resource: Resource) -> String {
+    rustix::process::getrlimit(resource).current.map_or_else(|| "unlimited".into(), |limit| limit.to_string())
 }
 
 fn last_error() -> i32 {
@@ -369,7 +365,8 @@ mod tests {
                     .unwrap()
                     .join()
                     .unwrap();
-                assert!(touched <= wanted.min(stack));
+                // The C library may reuse a larger stack than asked for; going beyond its end would end the test process.
+                assert!(touched <= wanted);
                 if wanted >= stack {
                     assert!(touched * 10 >= (stack - STACK_RESERVE) * 8, "{touched} of {stack}");
                 }

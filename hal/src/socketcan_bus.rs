@@ -6,7 +6,7 @@
 //!   as well, the frame is refused. Losing the bus empties the queue: an old command must not come out of it later.
 //! - Error frames become [`BusState`] and counters, and never reach the caller as frames. The controller's state is
 //!   shared by a handle and its duplicates, so that one that only sends learns what one that receives was told.
-//! - A socket whose interface went down or vanished is closed and opened again as [`Restart`] says.
+//! - A socket whose interface went down or vanished is replaced by a new one as [`Restart`] says.
 //!
 //! Must never: block longer than it is told, allocate after `open`, send what is older than the loss of the bus.
 
@@ -73,8 +73,10 @@ pub struct SocketCanBus {
     fd: bool,
     restart: Restart,
     open_socket: OpenSocket,
-    /// `None` while the interface is down or gone.
-    socket: Option<CanSocket>,
+    socket: CanSocket,
+    /// The interface went down or vanished. What the socket received before can still be read, and the next socket
+    /// replaces it.
+    link_lost: bool,
     controller: Arc<Controller>,
     filters: Vec<[u32; 2]>,
     queue: Queue,
@@ -105,7 +107,8 @@ impl SocketCanBus {
             fd: spec.fd,
             restart: spec.restart,
             open_socket,
-            socket: Some(socket),
+            socket,
+            link_lost: false,
             controller: Arc::default(),
             filters: Vec::with_capacity(FILTERS_MAX),
             queue: Queue::new(spec.queue_length),
@@ -128,10 +131,9 @@ impl SocketCanBus {
         self.queue.used
     }
 
-    /// The interface is down or gone: closes the socket and plans the first attempt to come back.
+    /// The interface is down or gone: plans the first attempt to come back.
     fn lose_link(&mut self) {
-        self.socket = None;
-        self.dropped = 0;
+        self.link_lost = true;
         self.discard_queue();
         self.plan_first_attempt();
     }
@@ -157,17 +159,9 @@ impl SocketCanBus {
         {
             self.backoff_ns = self.backoff_ns.saturating_mul(2).clamp(1, nanoseconds(longest).max(1));
             self.retry_at_ns = monotonic_ns().saturating_add(self.backoff_ns);
-            match &self.socket {
-                // Bus-off with the link up. If it may not be cycled, the kernel's own restart remains.
-                Some(socket) if cycle_interface => {
-                    if socket::cycle(socket, self.name).is_ok() {
-                        self.socket = None;
-                        self.dropped = 0;
-                        self.reopen();
-                    }
-                }
-                Some(_) => {}
-                None => self.reopen(),
+            // At bus-off the link is still there. If it may not be cycled, the kernel's own restart remains.
+            if self.link_lost || cycle_interface && socket::cycle(&self.socket, self.name).is_ok() {
+                self.reopen();
             }
         }
         self.flush();
@@ -179,7 +173,7 @@ impl SocketCanBus {
             return;
         }
         self.controller.set_state(BusState::ErrorActive);
-        self.socket = Some(socket);
+        (self.socket, self.link_lost, self.dropped) = (socket, false, 0);
     }
 
     /// Hands waiting frames to the kernel as far as it takes them.
@@ -202,19 +196,22 @@ impl SocketCanBus {
     fn transmit(&self, frame: &Frame) -> Result<(), i32> {
         let mut bytes = [0; FD_LEN];
         let len = wire::encode(frame, &mut bytes);
-        socket::send(self.socket.as_ref().ok_or(libc::ENETDOWN)?, &bytes[..len])
+        socket::send(&self.socket, &bytes[..len])
     }
 
     /// Takes one datagram.
     fn take(&mut self) -> Taken {
-        let Some(socket) = &self.socket else { return Taken::Nothing };
         let mut bytes = [0; FD_LEN];
-        let arrival = match socket::receive(socket, &mut bytes) {
+        let arrival = match socket::receive(&self.socket, &mut bytes) {
             Ok(arrival) => arrival,
             Err(libc::EAGAIN) => return Taken::Nothing,
             Err(e) if is_link_loss(e) => {
+                if self.link_lost {
+                    return Taken::Nothing;
+                }
+                // The kernel reports the loss before the frames that it has already queued.
                 self.lose_link();
-                return Taken::Nothing;
+                return Taken::Again;
             }
             Err(e) => return Taken::Failed(e),
         };
@@ -279,12 +276,12 @@ impl SocketCanBus {
         if !self.state().carries_frames() && self.restart != Restart::Never {
             until_ns = until_ns.min(self.retry_at_ns.max(now_ns + 1));
         }
-        let Some(socket) = &self.socket else {
+        if self.link_lost {
             Monotonic.sleep_until(until_ns);
             return Ok(());
-        };
+        }
         let left = timespec(until_ns.saturating_sub(now_ns));
-        match rustix::event::poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&left)) {
+        match rustix::event::poll(&mut [PollFd::new(&self.socket, PollFlags::IN)], Some(&left)) {
             Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
             Err(e) => Err(ReceiveError::Os(e.raw_os_error())),
         }
@@ -296,6 +293,8 @@ enum Taken {
     Frame(Received),
     /// Something that is not for the caller.
     Other,
+    /// Frames may follow.
+    Again,
     Nothing,
     Failed(i32),
 }
@@ -345,6 +344,7 @@ impl CanBus for SocketCanBus {
             match self.take() {
                 Taken::Frame(received) => return Ok(Some(received)),
                 Taken::Failed(e) => return Err(ReceiveError::Os(e)),
+                Taken::Again => continue,
                 Taken::Other => {
                     others += 1;
                     self.report_change()?;
@@ -365,7 +365,7 @@ impl CanBus for SocketCanBus {
     }
 
     fn state(&self) -> BusState {
-        if self.socket.is_none() { BusState::Down } else { self.controller.state() }
+        if self.link_lost { BusState::Down } else { self.controller.state() }
     }
 
     fn counters(&self) -> BusCounters {
@@ -383,12 +383,10 @@ impl CanBus for SocketCanBus {
         );
         let everything = [[0, 0]];
         let wanted = if filters.is_empty() { &everything[..] } else { &self.filters };
-        match &self.socket {
-            Some(socket) => {
-                socket::set_filters(socket, wanted).map_err(|e| ReceiveError::Os(e.raw_os_error().unwrap_or(libc::EIO)))
-            }
+        match socket::set_filters(&self.socket, wanted) {
             // Installed when the interface comes back.
-            None => Ok(()),
+            Err(_) if self.link_lost => Ok(()),
+            result => result.map_err(|e| ReceiveError::Os(e.raw_os_error().unwrap_or(libc::EIO))),
         }
     }
 
@@ -404,7 +402,8 @@ impl CanBus for SocketCanBus {
             fd: self.fd,
             restart: self.restart,
             open_socket: self.open_socket,
-            socket: Some(socket),
+            socket,
+            link_lost: false,
             controller: Arc::clone(&self.controller),
             filters,
             queue: Queue::new(self.queue.frames.len()),

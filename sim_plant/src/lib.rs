@@ -1,3 +1,5 @@
 //! The simulated arm and its drives.
 
+pub mod config;
 pub mod drive;
+pub mod truth;

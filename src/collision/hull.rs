@@ -8,6 +8,8 @@
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as ParryVector;
 use parry3d_f64::transformation::try_convex_hull;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::shape::ShapeError;
 
@@ -16,6 +18,15 @@ pub const HULL_POINTS_MAX: usize = 256;
 
 /// Flatter than this share of its largest extent, a hull is refused: its faces would be noise.
 const THICKNESS_MIN: f64 = 1e-6;
+
+/// Farthest that a given point may lie outside of its hull, as a share of the extent: 10 nm for a metre.
+const EXCESS_MAX: f64 = 1e-8;
+
+/// How far points are moved where the hull of the points as given fails, as a share of the extent.
+const NUDGE: f64 = 1e-9;
+
+/// Most attempts with moved points.
+const RETRIES: usize = 8;
 
 #[derive(Debug, Clone)]
 pub(super) struct Hull {
@@ -43,12 +54,32 @@ impl Hull {
         }
         let thickness_m = thickness(points);
         let extent = points.iter().fold(0.0_f64, |m, p| m.max((Vector3::from(*p) - Vector3::from(points[0])).norm()));
-        if !(thickness_m > THICKNESS_MIN * extent) {
+        if thickness_m <= THICKNESS_MIN * extent {
             return Err(ShapeError::Flat { thickness_m });
         }
 
-        let given: Vec<ParryVector> = points.iter().map(|p| ParryVector::from_array(*p)).collect();
-        let (vertices, triangles) = try_convex_hull(&given).map_err(|e| ShapeError::Hull { reason: e.to_string() })?;
+        // Quickhull loses its way on some arrangements with many points in one plane; points moved by a nanometre
+        // per metre have none. Repeated points are the most common such arrangement.
+        let mut distinct = points.to_vec();
+        distinct.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+        distinct.dedup();
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(0);
+        let mut result = Self::build(&distinct, points, extent);
+        for _ in 0..RETRIES {
+            if result.is_ok() {
+                break;
+            }
+            let nudge = NUDGE * extent;
+            let nudged: Vec<_> = distinct.iter().map(|p| p.map(|x| x + rng.random_range(-nudge..=nudge))).collect();
+            result = Self::build(&nudged, points, extent);
+        }
+        result
+    }
+
+    /// Hull of `points`, checked to hold all of `given`.
+    fn build(points: &[[f64; 3]], given: &[[f64; 3]], extent: f64) -> Result<Self, ShapeError> {
+        let points: Vec<ParryVector> = points.iter().map(|p| ParryVector::from_array(*p)).collect();
+        let (vertices, triangles) = try_convex_hull(&points).map_err(|e| ShapeError::Hull { reason: e.to_string() })?;
         let vertices: Vec<Vector3<f64>> = vertices.iter().map(|v| Vector3::from(v.to_array())).collect();
         let centre = vertices.iter().sum::<Vector3<f64>>() / vertices.len() as f64;
         let radius = vertices.iter().fold(0.0_f64, |m, v| m.max((v - centre).norm()));
@@ -65,13 +96,19 @@ impl Hull {
             let normal = cross / area;
             faces.push(Face { normal, offset: normal.dot(&corners[0]), corners });
         }
-        // The plane of every face must hold all points: a wrong hull must not become a wrong distance.
-        let excess =
-            faces.iter().flat_map(|f| points.iter().map(move |p| f.plane(&Vector3::from(*p)))).fold(0.0, f64::max);
-        if faces.len() < 4 || excess > THICKNESS_MIN * extent {
-            return Err(ShapeError::Hull { reason: format!("a point lies {excess} m outside of a face") });
+        let hull = Self { faces, centre, radius };
+        if hull.faces.len() < 4 {
+            return Err(ShapeError::Hull { reason: "fewer than four faces".into() });
         }
-        Ok(Self { faces, centre, radius })
+        // A wrong hull must not become a wrong distance.
+        let points = given.iter().map(|p| Vector3::from(*p));
+        let outside_m = points.map(|p| hull.distance(&p).0).fold(0.0, f64::max);
+        let excess =
+            given.iter().flat_map(|p| hull.faces.iter().map(|f| f.plane(&Vector3::from(*p)))).fold(0.0, f64::max);
+        if outside_m.max(excess) > EXCESS_MAX * extent {
+            return Err(ShapeError::Hull { reason: format!("a point lies {} m outside of it", outside_m.max(excess)) });
+        }
+        Ok(hull)
     }
 
     pub(super) fn bounding_ball(&self) -> (Vector3<f64>, f64) {
@@ -97,7 +134,9 @@ impl Hull {
         }
         let mut best = f64::INFINITY;
         let mut off = highest.normal;
-        for face in self.faces.iter().filter(|f| f.plane(p) > 0.0) {
+        // A point on a surface of several triangles may, by rounding, lie above a wrong one and below the right one.
+        let seen = -1e-9 * self.radius;
+        for face in self.faces.iter().filter(|f| f.plane(p) > seen) {
             let d = p - closest_on_triangle(p, &face.corners);
             let squared = d.norm_squared();
             if squared < best {

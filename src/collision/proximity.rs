@@ -234,7 +234,7 @@ impl Body {
             self.minima.push(minimum - inflation);
         }
         self.rows.extend(self.nearest.drain().map(|ranked| ranked.0));
-        self.rows.sort_unstable_by(|a, b| Ranked(*a).cmp(&Ranked(*b)));
+        self.rows.sort_unstable_by_key(|row| Ranked(*row));
         self.found()
     }
 

@@ -29,8 +29,7 @@ impl WarningState {
     /// `d_s + d_w`; safe again only above that plus the hysteresis. NaN is a warning.
     pub fn update(&mut self, distance_min_m: f64) -> bool {
         let bound = if self.warning == Some(true) { self.leave } else { self.enter };
-        // Not `distance <= bound`: NaN must not be safe.
-        let warning = !(distance_min_m > bound);
+        let warning = distance_min_m.is_nan() || distance_min_m <= bound;
         self.warning = Some(warning);
         warning
     }
@@ -46,7 +45,7 @@ impl WarningState {
 /// clearance may thus recover gradually.
 pub fn required_distance(distance_now_m: f64, clearance_m: f64, barrier: Option<&BarrierConfig>) -> f64 {
     match barrier {
-        Some(b) if !(distance_now_m - clearance_m > b.activation_m) => {
+        Some(b) if distance_now_m.is_nan() || distance_now_m - clearance_m <= b.activation_m => {
             clearance_m + (1.0 - b.gamma) * (distance_now_m - clearance_m)
         }
         _ => clearance_m,

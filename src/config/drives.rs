@@ -339,7 +339,7 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
             table.refuse("buses", message, "permitted: node ids 1 to 127; use more buses or lower `first_node_id`");
         }
         let drive = drive(section, segment, cable, bus, node);
-        check_torque(section, &defaults, arm, &drive);
+        check_torque(section, arm, &drive);
         drives.push(drive);
     }
     let config = DrivesConfig {
@@ -393,19 +393,17 @@ fn drive(section: &Section<'_>, segment: usize, cable: usize, bus: usize, node: 
     }
 }
 
-fn check_torque(section: &Section<'_>, defaults: &Section<'_>, arm: &ArmConfig, drive: &DriveConfig) {
+fn check_torque(section: &Section<'_>, arm: &ArmConfig, drive: &DriveConfig) {
     let needed = drive.torque_nm(arm.tension_n_max);
     let most = 10.0 * drive.rated_torque_nm;
     if drive.torque_nm_max >= needed && drive.torque_nm_max <= most || !section.is_clean() {
         return;
     }
-    // Named where the file says it, once: the drives without an override share one line.
-    let place = if section.is_present() { section } else { defaults };
     let help = format!(
         "permitted: {needed:.4} N m ({} N on a drum of {} m behind a gear of {}) to {most} N m",
         arm.tension_n_max, drive.drum_radius_m, drive.gear_ratio
     );
-    place.refuse("torque_nm_max", "does not fit the arm's `tension_n_max` or the rated torque", &help);
+    section.refuse("torque_nm_max", "does not fit the arm's `tension_n_max` or the rated torque", &help);
 }
 
 fn check_times(table: &Section<'_>, config: &DrivesConfig, arm: &ArmConfig, period_s: Option<f64>) {

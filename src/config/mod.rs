@@ -10,22 +10,28 @@
 mod arm;
 mod arm_file;
 mod builtin;
+mod check;
+mod document;
 mod drives;
 pub mod error;
 mod guard;
 mod ipc;
+mod motion;
 mod observer;
 mod obstacles;
 mod planner;
 mod planner_file;
 pub mod reader;
 mod scenario;
+mod scenario_file;
 pub mod schema;
 mod timing;
 mod weights;
 
 pub use arm::*;
 pub use arm_file::ARM;
+pub use builtin::{BUILTIN_FILES, SCENARIOS};
+pub use check::SummaryLine;
 pub use drives::{BusConfig, BusKind, DRIVES, DriveConfig, DrivesConfig};
 pub use error::ConfigError;
 pub use guard::{GUARD, GuardConfig};
@@ -35,6 +41,7 @@ pub use obstacles::{OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
 pub use scenario::*;
+pub use scenario_file::{SCENARIO, arm_of};
 pub use timing::{LOOP, LoopConfig};
 pub use weights::{ShapeWeights, TipWeights, WEIGHTS, WeightsConfig};
 

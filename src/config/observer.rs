@@ -27,7 +27,7 @@ pub struct ObserverConfig {
     pub filter_time_s: f64,
     /// Time constant T_b of the disturbance estimate (s).
     pub disturbance_time_s: f64,
-    /// The estimate has settled when every |z| is below this (rad) ...
+    /// The estimate has settled when every entry of z is below this (rad) ...
     pub settle_innovation_rad: f64,
     /// ... and every bend angle's rate below this (rad/s) ...
     pub settle_rate_radps: f64,
@@ -86,7 +86,7 @@ pub static OBSERVER: TableSpec = TableSpec {
             Kind::Float(Range::above(0.0, 1.0)),
             "rad",
             "0.01",
-            "The estimate has settled when every |z| is below this ...",
+            "The estimate has settled when every entry of z is below this ...",
         ),
         Key::default(
             "settle_rate_radps",
@@ -108,14 +108,14 @@ pub static OBSERVER: TableSpec = TableSpec {
             Kind::Float(Range::above(0.0, 3.0)),
             "rad",
             "0.3",
-            "|z| beyond this is a fault: encoder, broken or slack cable.",
+            "An entry of z beyond this is a fault: encoder, broken or slack cable.",
         ),
         Key::default(
             "innovation_growth_rad",
             Kind::Float(Range::above(0.0, 3.0)),
             "rad",
             "0.15",
-            "|z| growing by this within the window is a fault.",
+            "An entry of z growing by this within the window is a fault.",
         ),
         Key::default(
             "innovation_window_s",

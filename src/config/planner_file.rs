@@ -20,9 +20,10 @@ pub(super) fn warning(name: &str) -> WarningBranch {
     }
 }
 
+const LEAD: Kind = Kind::Float(Range::closed(0.0, 10.0));
 const POSITIVE_SECONDS: Kind = Kind::Float(Range::above(0.0, 10.0));
 
-const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static TableSpec) -> [Key; 12] {
+const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static TableSpec) -> [Key; 11] {
     [
         Key::default(
             "lookahead_s",
@@ -88,25 +89,18 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
             "work counts only (scenario); what the period leaves (daemon)",
             "Time budget of one planning step.",
         ),
-        Key::optional(
-            "lead_s",
-            Kind::Float(Range::closed(0.0, 10.0)),
-            "s",
-            "computed from the weights",
-            "Lead added to the target's sampling time, against the lag of the rate weights.",
-        ),
         Key::optional("swarm", Kind::Table(swarm), "", "its defaults", "The particle swarm."),
     ]
 }
 
-const DAEMON: [Key; 12] = shared("2", "0.01", &SWARM);
-const SCENARIO: [Key; 12] = shared("30", "0.0", &SCENARIO_SWARM);
+const DAEMON: [Key; 11] = shared("2", "0.01", &SWARM);
+const SCENARIO: [Key; 11] = shared("30", "0.0", &SCENARIO_SWARM);
 
 macro_rules! with_shared {
     ($shared:expr, $($key:expr),+ $(,)?) => {
         &[
             $shared[0], $shared[1], $shared[2], $shared[3], $shared[4], $shared[5], $shared[6], $shared[7], $shared[8],
-            $shared[9], $shared[10], $shared[11], $($key),+
+            $shared[9], $shared[10], $($key),+
         ]
     };
 }
@@ -118,6 +112,13 @@ pub static PLANNER: TableSpec = TableSpec {
     about: "The combined planner, as the daemon runs it: a receding horizon with a barrier. The period is `[loop]`'s.",
     keys: with_shared!(
         DAEMON,
+        Key::optional(
+            "lead_s",
+            LEAD,
+            "s",
+            "computed from the weights",
+            "Lead added to the target's sampling time, against the lag of the rate weights."
+        ),
         Key::optional(
             "body_radius_m",
             Kind::Float(Range::closed(0.0, 1.0)),
@@ -144,6 +145,7 @@ pub static SCENARIO_PLANNER: TableSpec = TableSpec {
     about: "The combined planner in an open-loop run; the defaults are the paper's setting.",
     keys: with_shared!(
         SCENARIO,
+        Key::default("lead_s", LEAD, "s", "0.0", "Lead added to the target's sampling time; the paper has none."),
         Key::optional(
             "period_s",
             POSITIVE_SECONDS,

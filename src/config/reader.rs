@@ -1,225 +1,29 @@
-//! From TOML text to checked values, through the registry of [`schema`](super::schema).
+//! One table: from TOML values to checked values, through the registry of [`schema`](super::schema).
 //!
 //! A [`Section`] is one table. Its getters take a key's name, look its kind, range and default up in the registry and
 //! return a value; if the value in the file is not permitted they note a [`Problem`] and return a stand-in, so that one
-//! pass finds everything that is wrong. Stand-ins never leave: [`read`] returns the result only if no problem was noted.
-//! Keys that the registry does not know are refused when a section is opened, known keys that nothing asked for (they
-//! belong to another variant) when it is dropped.
+//! pass finds everything that is wrong. Keys that the registry does not know are refused when a section is opened, known
+//! keys that nothing asked for (they belong to another variant) when it is dropped.
 
-use super::error::{ConfigError, Place, Problem, SourceText};
+pub use super::document::{Document, read, read_files};
+
+use super::document::suggestion;
+use super::error::{Place, Problem, SourceText};
 use super::schema::{Key, Kind, Length, Presence, TableSpec};
-use miette::NamedSource;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
-use std::sync::Arc;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The open files, and the problems found so far.
-pub struct Document<'a> {
-    files: Vec<(SourceText, &'a DeTable<'a>)>,
-    problems: RefCell<Vec<Problem>>,
-}
-
-/// Reads files from disk and hands them to `build`.
-///
-/// # Errors
-/// A file cannot be read, or anything that [`read`] refuses.
-pub fn read_files<T>(
-    paths: &[PathBuf],
-    known: &[&'static TableSpec],
-    build: impl FnOnce(&Document<'_>) -> T,
-) -> Result<T, ConfigError> {
-    let mut texts = Vec::with_capacity(paths.len());
-    let mut problems = Vec::new();
-    for path in paths {
-        match std::fs::read_to_string(path) {
-            Ok(text) => texts.push((path.display().to_string(), text)),
-            Err(error) => problems.push(Problem {
-                place: None,
-                message: format!("cannot read {}: {error}", path.display()),
-                label: String::new(),
-                help: "give the path of a readable TOML file".into(),
-            }),
-        }
-    }
-    if !problems.is_empty() {
-        let names: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
-        return Err(ConfigError { subject: names.join(", "), problems });
-    }
-    read(texts, known, build)
-}
-
-/// Parses texts (name, content), refuses top-level tables outside `known` and tables that two texts define, and hands
-/// the rest to `build`.
-///
-/// # Errors
-/// Everything wrong that one pass found.
-pub fn read<T>(
-    texts: Vec<(String, String)>,
-    known: &[&'static TableSpec],
-    build: impl FnOnce(&Document<'_>) -> T,
-) -> Result<T, ConfigError> {
-    let subject = texts.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
-    let sources: Vec<SourceText> =
-        texts.into_iter().map(|(name, text)| Arc::new(NamedSource::new(name, text).with_language("TOML"))).collect();
-    let mut problems = Vec::new();
-    let mut tables = Vec::new();
-    for source in &sources {
-        let (table, errors) = DeTable::parse_recoverable(source.inner());
-        problems.extend(errors.iter().map(|error| Problem {
-            place: Some(Place { file: source.clone(), span: error.span().unwrap_or(0..0) }),
-            message: format!("not TOML: {}", error.message()),
-            label: "here".into(),
-            help: "see https://toml.io for the format".into(),
-        }));
-        tables.push(table);
-    }
-    // The remains of a text that is not TOML would only produce problems that are none.
-    if !problems.is_empty() {
-        return Err(ConfigError { subject, problems });
-    }
-    let document = Document {
-        files: sources.iter().cloned().zip(tables.iter().map(Spanned::get_ref)).collect(),
-        problems: RefCell::new(problems),
-    };
-    document.refuse_unknown_tables(known);
-    document.refuse_repeated_tables();
-    let value = build(&document);
-    let problems = document.problems.into_inner();
-    if problems.is_empty() { Ok(value) } else { Err(ConfigError { subject, problems }) }
-}
-
-impl<'a> Document<'a> {
-    /// True if no problem has been noted: the moment for checks across keys, which stand-ins would mislead.
-    pub fn is_clean(&self) -> bool {
-        self.problems.borrow().is_empty()
-    }
-
-    /// Notes a problem that belongs to no place in a file.
-    pub fn note(&self, message: String, help: &str) {
-        self.problems.borrow_mut().push(Problem { place: None, message, label: String::new(), help: help.into() });
-    }
-
-    /// Takes over the problems of files that were read on behalf of this one.
-    pub fn note_all(&self, error: ConfigError) {
-        self.problems.borrow_mut().extend(error.problems);
-    }
-
-    /// True if a file has this top-level table.
-    pub fn has(&self, spec: &TableSpec) -> bool {
-        self.find(spec.name).is_some()
-    }
-
-    /// Opens a top-level table that must be there.
-    pub fn table(&self, spec: &'static TableSpec) -> Section<'_> {
-        if !self.has(spec) {
-            let names: Vec<_> = self.files.iter().map(|(file, _)| file.name()).collect();
-            self.note(
-                format!(
-                    "no table {} in {}",
-                    spec.header,
-                    if names.is_empty() { "no file".into() } else { names.join(", ") }
-                ),
-                spec.about,
-            );
-        }
-        self.table_or_defaults(spec)
-    }
-
-    /// Opens a top-level table; one that is absent reads as its defaults.
-    pub fn table_or_defaults(&self, spec: &'static TableSpec) -> Section<'_> {
-        match self.find(spec.name) {
-            Some((file, key_span, table)) => {
-                Section::open(self, spec, spec.name.to_owned(), Some(Found { table, file, span: key_span }), None)
-            }
-            None => Section::open(self, spec, spec.name.to_owned(), None, None),
-        }
-    }
-
-    /// The keys at a file's top level as a section of their own; for files whose root is one table.
-    pub fn root(&self, spec: &'static TableSpec) -> Section<'_> {
-        let found = self.files.first().map(|(file, table)| Found { table, file, span: 0..0 });
-        Section::open(self, spec, String::new(), found, None)
-    }
-
-    fn find(&self, name: &str) -> Option<(&SourceText, Range<usize>, &DeTable<'a>)> {
-        self.files.iter().find_map(|(file, table)| {
-            let (key, value) = table.get_key_value(name)?;
-            Some((file, key.span(), value.get_ref().as_table()?))
-        })
-    }
-
-    fn refuse_unknown_tables(&self, known: &[&'static TableSpec]) {
-        // A single spec with an empty name is a file whose root is one table: its section refuses unknown keys.
-        if known.iter().any(|spec| spec.name.is_empty()) {
-            return;
-        }
-        for (file, table) in &self.files {
-            for (key, value) in *table {
-                let name = key.get_ref().as_ref();
-                let known_name = known.iter().any(|spec| spec.name == name);
-                if known_name && value.get_ref().is_table() {
-                    continue;
-                }
-                let (message, label) = if known_name {
-                    (format!("`{name}` must be a table, found {}", value.get_ref().type_str()), "not a table")
-                } else {
-                    (format!("unknown table or key `{name}`"), "unknown")
-                };
-                self.problems.borrow_mut().push(Problem {
-                    place: Some(Place { file: file.clone(), span: key.span() }),
-                    message,
-                    label: label.into(),
-                    help: suggestion(name, known.iter().map(|spec| spec.name), "tables"),
-                });
-            }
-        }
-    }
-
-    fn refuse_repeated_tables(&self) {
-        for (later, (file, table)) in self.files.iter().enumerate() {
-            for (key, _) in *table {
-                let name = key.get_ref().as_ref();
-                let first = self.files[..later].iter().find_map(|(file, table)| {
-                    let (key, _) = table.get_key_value(name)?;
-                    Some(Place { file: file.clone(), span: key.span() })
-                });
-                if let Some(first) = first {
-                    self.problems.borrow_mut().push(Problem {
-                        place: Some(Place { file: file.clone(), span: key.span() }),
-                        message: format!("[{name}] stands in {} and again in {}", first, file.name()),
-                        label: "second definition".into(),
-                        help: "a table belongs to one file; leave one of the two out".into(),
-                    });
-                }
-            }
-        }
-    }
-}
-
-/// "did you mean" if a known name is near, and the list of known names.
-fn suggestion(name: &str, known: impl Iterator<Item = &'static str> + Clone, what: &str) -> String {
-    let nearest = known
-        .clone()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .filter(|(likeness, _)| *likeness > 0.8);
-    let list = known.collect::<Vec<_>>().join(", ");
-    match nearest {
-        Some((_, candidate)) => format!("did you mean `{candidate}`? known {what}: {list}"),
-        None => format!("known {what}: {list}"),
-    }
-}
-
+/// A table in a file.
 #[derive(Clone)]
-struct Found<'d> {
-    table: &'d DeTable<'d>,
-    file: &'d SourceText,
-    span: Range<usize>,
+pub(super) struct Found<'d> {
+    pub(super) table: &'d DeTable<'d>,
+    pub(super) file: &'d SourceText,
+    pub(super) span: Range<usize>,
 }
 
 /// One table of a file, or the defaults in its place.
@@ -238,10 +42,18 @@ struct Value<'s> {
     value: &'s DeValue<'s>,
     text: &'s str,
     place: Option<Place>,
+    /// Path of the table that it stands in: this one's, or the one's behind it.
+    owner: &'s str,
+}
+
+impl Value<'_> {
+    fn path_of(&self, name: &str) -> String {
+        join(self.owner, name)
+    }
 }
 
 impl<'d> Section<'d> {
-    fn open(
+    pub(super) fn open(
         document: &'d Document<'d>,
         spec: &'static TableSpec,
         path: String,
@@ -267,7 +79,7 @@ impl<'d> Section<'d> {
 
     /// The whole path of a key, for messages.
     pub fn path_of(&self, name: &str) -> String {
-        if self.path.is_empty() { name.to_owned() } else { format!("{}.{name}", self.path) }
+        join(&self.path, name)
     }
 
     /// True if no problem has been noted in the whole document.
@@ -305,10 +117,28 @@ impl<'d> Section<'d> {
 
     /// Notes a problem at a key that the registry's range cannot express.
     pub fn refuse(&self, name: &str, message: impl std::fmt::Display, help: &str) {
-        let place = self.place_of(name);
-        let found = self.text_of(name);
-        let found = if found.is_empty() { String::new() } else { format!(" = {found}") };
-        self.push(place, format!("`{}`{found}: {message}", self.path_of(name)), "refused".into(), help.into());
+        if !self.has_own(name)
+            && let Some(fallback) = self.fallback.as_ref().filter(|fallback| fallback.has(name) || !self.is_present())
+        {
+            return fallback.refuse(name, message, help);
+        }
+        let value = self.found.as_ref().and_then(|found| Some((found, found.table.get(name)?)));
+        let is_tables = |value: &DeValue<'_>| match value {
+            DeValue::Table(_) => true,
+            DeValue::Array(array) => array.iter().any(|entry| entry.get_ref().is_table()),
+            _ => false,
+        };
+        let text = match value {
+            Some((found, value)) if !is_tables(value.get_ref()) => {
+                format!(" = {}", shorten(self.value_in(found, value).text))
+            }
+            _ => String::new(),
+        };
+        let place = self.found.as_ref().map(|found| Place {
+            file: found.file.clone(),
+            span: value.map_or(found.span.clone(), |(_, value)| value.span()),
+        });
+        self.push(place, format!("`{}`{text}: {message}", self.path_of(name)), "refused".into(), help.into());
     }
 
     /// A number.
@@ -399,7 +229,7 @@ impl<'d> Section<'d> {
                 None => {
                     self.push(
                         found.place.clone(),
-                        format!("`{}` = {} is not a permitted value", self.path_of(key.name), found.text),
+                        format!("`{}` = {} is not a permitted value", found.path_of(key.name), found.text),
                         "found".into(),
                         suggestion(text, names.iter().copied(), "values"),
                     );
@@ -553,11 +383,12 @@ impl<'d> Section<'d> {
         key
     }
 
-    fn value_in<'s>(&self, found: &Found<'s>, value: &'s Spanned<DeValue<'s>>) -> Value<'s> {
+    fn value_in<'s>(&'s self, found: &Found<'s>, value: &'s Spanned<DeValue<'s>>) -> Value<'s> {
         Value {
             value: value.get_ref(),
             text: found.file.inner().get(value.span()).unwrap_or(""),
             place: Some(Place { file: found.file.clone(), span: value.span() }),
+            owner: &self.path,
         }
     }
 
@@ -577,7 +408,7 @@ impl<'d> Section<'d> {
         match key.presence {
             Presence::Optional(_) => None,
             Presence::Default(text) => match DeValue::parse(text) {
-                Ok(value) => check(key, Value { value: value.get_ref(), text, place: None }),
+                Ok(value) => check(key, Value { value: value.get_ref(), text, place: None, owner: &self.path }),
                 Err(_) => self.misread(key),
             },
             Presence::Required => {
@@ -602,27 +433,6 @@ impl<'d> Section<'d> {
         Some(values)
     }
 
-    fn place_of(&self, name: &str) -> Option<Place> {
-        if let Some(found) = &self.found {
-            if let Some(value) = found.table.get(name) {
-                return Some(Place { file: found.file.clone(), span: value.span() });
-            }
-            if !self.fallback.as_ref().is_some_and(|fallback| fallback.has(name)) {
-                return Some(Place { file: found.file.clone(), span: found.span.clone() });
-            }
-        }
-        self.fallback.as_ref().and_then(|fallback| fallback.place_of(name))
-    }
-
-    fn text_of(&self, name: &str) -> String {
-        match &self.found {
-            Some(found) if found.table.contains_key(name) => {
-                found.table.get(name).map_or(String::new(), |value| shorten(self.value_in(found, value).text))
-            }
-            _ => self.fallback.as_ref().map_or(String::new(), |fallback| fallback.text_of(name)),
-        }
-    }
-
     fn push(&self, place: Option<Place>, message: String, label: String, help: String) {
         let mut problems = self.document.problems.borrow_mut();
         let problem = Problem { place, message, label, help };
@@ -638,18 +448,18 @@ impl<'d> Section<'d> {
     }
 
     fn missing(&self, key: &Key) {
-        // A table that is missing altogether has been reported as such.
-        let place = match (&self.found, self.fallback.as_ref().and_then(|fallback| fallback.found.as_ref())) {
-            (Some(found), _) | (None, Some(found)) => Place { file: found.file.clone(), span: found.span.clone() },
-            (None, None) if self.document.is_clean() => {
-                let message = format!("`{}` is missing", self.path_of(key.name));
-                self.push(None, message, String::new(), format!("permitted: {}; {}", key.permitted(), key.meaning));
-                return;
-            }
-            (None, None) => return,
-        };
+        if self.found.is_none()
+            && let Some(fallback) = self.fallback.as_ref().filter(|fallback| fallback.is_present())
+        {
+            return fallback.missing(key);
+        }
+        // Inside a table that is missing altogether, which has been reported as such.
+        if self.found.is_none() && !self.document.is_clean() {
+            return;
+        }
+        let place = self.found.as_ref().map(|found| Place { file: found.file.clone(), span: found.span.clone() });
         self.push(
-            Some(place),
+            place,
             format!("`{}` is missing", self.path_of(key.name)),
             format!("needs `{}`", key.name),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
@@ -659,7 +469,7 @@ impl<'d> Section<'d> {
     fn wrong_type<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} is of the wrong type", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} is of the wrong type", found.path_of(key.name), shorten(found.text)),
             format!("found {}", found.value.type_str()),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -669,7 +479,7 @@ impl<'d> Section<'d> {
     fn out_of_range<T>(&self, key: &Key, found: &Value<'_>) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} is outside its range", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} is outside its range", found.path_of(key.name), shorten(found.text)),
             "out of range".into(),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -685,7 +495,7 @@ impl<'d> Section<'d> {
         let text = place.as_ref().and_then(|place| place.file.inner().get(place.span.clone())).unwrap_or(found.text);
         self.push(
             place.clone(),
-            format!("`{}[{index}]` = {} is outside its range", self.path_of(key.name), shorten(text)),
+            format!("`{}[{index}]` = {} is outside its range", found.path_of(key.name), shorten(text)),
             "out of range".into(),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -695,7 +505,7 @@ impl<'d> Section<'d> {
     fn wrong_length<T>(&self, key: &Key, found: &Value<'_>, entries: usize, length: Length) -> Option<T> {
         self.push(
             found.place.clone(),
-            format!("`{}` = {} has {entries} entries, not {length}", self.path_of(key.name), shorten(found.text)),
+            format!("`{}` = {} has {entries} entries, not {length}", found.path_of(key.name), shorten(found.text)),
             format!("{entries} entries"),
             format!("permitted: {}; {}", key.permitted(), key.meaning),
         );
@@ -737,6 +547,10 @@ impl Drop for Section<'_> {
             }
         }
     }
+}
+
+fn join(path: &str, name: &str) -> String {
+    if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
 
 fn number(value: &DeValue<'_>) -> Option<f64> {

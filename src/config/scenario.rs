@@ -1,11 +1,12 @@
 //! A scenario: an arm's task, its weights and its obstacles over time.
 
+use super::arm::ArmConfig;
 use super::planner::PlannerConfig;
 use serde::Serialize;
 
 /// Desired pose of the tip over time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
+#[serde(tag = "kind", content = "value", rename_all = "snake_case")]
 pub enum TipPath {
     /// The paper's curve (38)-(39): `x = rho cos th, y = rho sin th, z`, `rho = scale cos 2 th`, with th(t) of (39)
     /// stretched from 100 s to `duration_s`.
@@ -94,7 +95,7 @@ pub enum ShapeConfig {
 
 /// Motion of an obstacle's frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(tag = "motion", rename_all = "snake_case")]
+#[serde(tag = "motion", content = "value", rename_all = "snake_case")]
 pub enum Motion {
     /// `position + velocity t`.
     Linear {
@@ -139,7 +140,7 @@ pub struct ObstacleConfig {
 
 /// How the arm stands at t = 0.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
+#[serde(tag = "kind", content = "value", rename_all = "snake_case")]
 pub enum Start {
     /// Straight and without tension.
     Straight,
@@ -158,6 +159,8 @@ pub enum Start {
 pub struct ScenarioConfig {
     /// Name.
     pub name: String,
+    /// The arm: the file's that the scenario names, or the built-in one.
+    pub arm: ArmConfig,
     /// Length (s).
     pub duration_s: f64,
     /// Seed of every random choice.

@@ -5,5 +5,20 @@
 //! from triple buffers and writes its records to bounded rings, both wait-free; what finds a ring full is counted and
 //! dropped. Nothing here may delay or fail the loop.
 
+mod channels;
+mod client;
+mod domain;
+mod error;
 pub mod intake;
+mod io_thread;
 pub mod payload;
+mod ports;
+mod service;
+
+pub use channels::*;
+pub use client::*;
+pub use domain::{Domain, PREFIX_VARIABLE, ROOT_VARIABLE};
+pub use error::*;
+pub use io_thread::*;
+pub use ports::DaemonPorts;
+pub use service::{Message, service_name};

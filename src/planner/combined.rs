@@ -201,6 +201,11 @@ impl Planner {
         &self.config
     }
 
+    /// Takes another branch for the warning subspace from the next step on.
+    pub fn set_warning(&mut self, branch: WarningBranch) {
+        self.config.warning = branch;
+    }
+
     /// The body that distances are measured from.
     pub fn body_mut(&mut self) -> &mut Body {
         &mut self.body

@@ -7,7 +7,9 @@
 mod combined;
 pub mod complementarity;
 mod problem;
+mod start;
 pub mod swarm;
 
 pub use combined::{Branch, Inputs, PAIRS_MAX, Planner, Report, Status};
 pub use problem::{Goal, Quadratic};
+pub use start::{StartError, tip_start};

@@ -25,6 +25,9 @@ pub const EMERGENCIES_MAX: usize = 16;
 /// Frames served by one [`Master::pump`], so that it has an end on a busy bus.
 const FRAMES_PER_PUMP: usize = 1024;
 
+/// Boot-ups accepted between the reset and the end of configuration.
+const BOOTS_MAX: u32 = 3;
+
 /// Where the drives are to be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Goal {
@@ -118,6 +121,8 @@ struct Slot {
     stuck: bool,
     /// It reached "operation enabled" under the present goal.
     was_enabled: bool,
+    /// Boot-ups since the start.
+    boots: u32,
     /// Fault reset under way: cycle at which bit 7 was last changed.
     resetting: Option<u64>,
 }
@@ -349,7 +354,10 @@ impl Master {
         slot.heartbeat_ns = Some(now_ns);
         slot.heartbeat_lost = false;
         match (slot.status.phase, state) {
-            (Phase::Booting, NmtState::BootUp) => {
+            // The boot-up of a power-up may come just before that of the reset: the script then starts over, though not
+            // for ever.
+            (Phase::Booting | Phase::Configuring | Phase::Starting, NmtState::BootUp) if slot.boots < BOOTS_MAX => {
+                slot.boots += 1;
                 slot.status.phase = Phase::Configuring;
                 slot.heartbeat_ns = None;
                 let mut runner = Runner::new(&self.config, &self.config.drives[i]);
@@ -645,6 +653,7 @@ impl Slot {
             wanted: None,
             stuck: false,
             was_enabled: false,
+            boots: 0,
             resetting: None,
         }
     }

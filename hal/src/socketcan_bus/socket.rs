@@ -15,7 +15,8 @@ use crate::bus_config::OpenError;
 pub(super) const FILTERS_MAX: usize = 512;
 /// ARPHRD_CAN of linux/if_arp.h.
 const HARDWARE_CAN: u16 = 280;
-/// Receive buffer asked for (bytes); the kernel caps it at net.core.rmem_max. A frame takes about 0.7 kB of it.
+/// Receive buffer asked for (bytes); without privileges the kernel caps it at net.core.rmem_max. A frame takes about
+/// 0.7 kB of it, so this holds some 10,000 and the usual cap of 208 KiB some 500: it counts double.
 const RECEIVE_BUFFER: libc::c_int = 4 << 20;
 
 /// An interface name that fits the kernel's structure.
@@ -145,7 +146,9 @@ pub(super) fn set_common_options(socket: &CanSocket) -> Result<(), Refusal> {
     let option = |step, result: io::Result<()>| result.map_err(|e| Refusal::from_io(step, &e));
     option("SO_TIMESTAMPNS", socket.set_recv_timestamp(true))?;
     option("SO_RXQ_OVFL", socket.set_socket_option_int(libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1))?;
-    option("SO_RCVBUF", socket.set_socket_option_int(libc::SOL_SOCKET, libc::SO_RCVBUF, RECEIVE_BUFFER))
+    let buffer = |name| socket.set_socket_option_int(libc::SOL_SOCKET, name, RECEIVE_BUFFER);
+    // With CAP_NET_ADMIN beyond the limit of the system, otherwise up to it.
+    option("SO_RCVBUF", buffer(libc::SO_RCVBUFFORCE).or_else(|_| buffer(libc::SO_RCVBUF)))
 }
 
 fn ask(socket: &CanSocket, name: InterfaceName, what: libc::Ioctl, step: &'static str) -> Result<libc::ifreq, Refusal> {

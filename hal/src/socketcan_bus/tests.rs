@@ -101,20 +101,20 @@ fn a_full_transmit_queue_is_bridged_in_order_and_then_refused() {
 #[test]
 fn waiting_frames_go_out_while_a_receive_waits() {
     let (mut bus, wire) = bus(&spec(3));
+    let mut sent = 0;
     while bus.queued() < 3 {
         bus.send(&frame(0)).unwrap();
+        sent += 1;
     }
     let far = std::thread::spawn(move || {
         std::thread::sleep(Duration::from_millis(5));
-        drain(&wire);
-        // Only now is there room for the queue; its first frame is the sign to answer.
-        loop {
-            if !drain(&wire).is_empty() {
-                put(&wire, &frame(42));
-                return;
-            }
+        // Only when all are there, those that waited too, comes the answer.
+        let mut arrived = 0;
+        while arrived < sent {
+            arrived += drain(&wire).len();
             std::thread::yield_now();
         }
+        put(&wire, &frame(42));
     });
     assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(42));
     far.join().unwrap();
@@ -189,6 +189,15 @@ fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
 }
 
 #[test]
+fn what_arrived_before_the_link_was_lost_is_delivered_first() {
+    let (mut bus, wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
+    put(&wire, &frame(1));
+    bus.lose_link();
+    assert_eq!(bus.receive(WAIT).unwrap().unwrap().frame, frame(1));
+    assert_eq!(bus.receive(Duration::from_millis(1)), Err(ReceiveError::Bus(BusState::Down)));
+}
+
+#[test]
 fn with_restart_never_a_lost_link_stays_lost() {
     MAY_RECONNECT.set(true);
     let (mut bus, _wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
@@ -245,7 +254,7 @@ fn every_refusal_of_the_kernel_has_a_reason_of_its_own() {
 #[test]
 fn sockets_are_not_inherited_by_children() {
     let (bus, _wire) = bus(&spec(1));
-    let fd = bus.socket.as_ref().unwrap().as_raw_fd();
+    let fd = bus.socket.as_raw_fd();
     // SAFETY: a plain query of a live descriptor.
     assert_ne!(unsafe { libc::fcntl(fd, libc::F_GETFD) } & libc::FD_CLOEXEC, 0);
 }

@@ -87,15 +87,15 @@ const ACTIVE: u8 = 0x40;
 fn error_report(id: u32, data: &[u8]) -> ErrorReport {
     let byte = |i: usize| data.get(i).copied().unwrap_or(0);
     let has = |class: u32| id & class != 0;
-    let controller = if has(libc::CAN_ERR_CRTL as u32) { byte(1) } else { 0 };
+    let controller = if has(libc::CAN_ERR_CRTL) { byte(1) } else { 0 };
     let counters = has(CAN_ERR_CNT).then(|| (byte(6), byte(7)));
-    let by_flags = if has(libc::CAN_ERR_BUSOFF as u32) {
+    let by_flags = if has(libc::CAN_ERR_BUSOFF) {
         Some(BusState::BusOff)
     } else if controller & PASSIVE != 0 {
         Some(BusState::ErrorPassive)
     } else if controller & WARNING != 0 {
         Some(BusState::ErrorWarning)
-    } else if controller & ACTIVE != 0 || has(libc::CAN_ERR_RESTARTED as u32) {
+    } else if controller & ACTIVE != 0 || has(libc::CAN_ERR_RESTARTED) {
         Some(BusState::ErrorActive)
     } else {
         None

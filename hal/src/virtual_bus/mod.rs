@@ -42,13 +42,13 @@ pub const GAP_GRACE_NS: u64 = 1_000_000;
 const TICKETS_MAX: u32 = 8;
 
 /// Longest name of a bus.
-const NAME_LEN_MAX: usize = 64;
+const NAME_LEN_MAX: usize = 128;
 
 /// Why a virtual bus did not open.
 #[derive(Debug, Error)]
 pub enum OpenVirtualError {
     /// The name cannot be part of a file name.
-    #[error("virtual bus name {0:?}: expected 1 to 64 of A-Z a-z 0-9 . _ -, not beginning with a dot")]
+    #[error("virtual bus name {0:?}: expected 1 to 128 of A-Z a-z 0-9 . _ -, not beginning with a dot")]
     Name(String),
     /// The shared file cannot be opened, locked or mapped.
     #[error("virtual bus file {path}: {source}", path = path.display())]

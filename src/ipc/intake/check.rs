@@ -46,8 +46,8 @@ pub(super) fn largest_sigma(c: &[f64; 6]) -> Result<f64, RejectCause> {
     let matrix = Matrix3::new(c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5]);
     let eigenvalues = matrix.symmetric_eigenvalues();
     let (least, most) = (eigenvalues.min(), eigenvalues.max());
-    // Negated, so that a NaN of the iteration is refused as well.
-    if !(most > 0.0 && least >= -1e-9 * most) { Err(RejectCause::Covariance) } else { Ok(most.sqrt()) }
+    // Written so that a NaN of the iteration is refused as well.
+    if most > 0.0 && least >= -1e-9 * most { Ok(most.sqrt()) } else { Err(RejectCause::Covariance) }
 }
 
 /// At least four vertices, not all in one plane.
@@ -65,9 +65,9 @@ pub(super) fn hull(vertices: &[[f64; 3]]) -> Result<(), RejectCause> {
         sum + d * d.transpose()
     });
     let eigenvalues = scatter.symmetric_eigenvalues();
-    // Eigenvalues are squared extents.
-    let flat = !(eigenvalues.min() > HULL_THICKNESS_MIN * HULL_THICKNESS_MIN * eigenvalues.max());
-    if flat { Err(RejectCause::Hull) } else { Ok(()) }
+    // Eigenvalues are squared extents. Written so that a NaN of the iteration is refused as well.
+    let solid = eigenvalues.min() > HULL_THICKNESS_MIN * HULL_THICKNESS_MIN * eigenvalues.max();
+    if solid { Ok(()) } else { Err(RejectCause::Hull) }
 }
 
 #[cfg(test)]

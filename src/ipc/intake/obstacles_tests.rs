@@ -229,7 +229,7 @@ proptest! {
         kind in prop_oneof![0..7_u32, any::<u32>()],
         numbers in prop::collection::vec(prop_oneof![-10.0..10.0_f64, any::<f64>()], 19),
         hull in (prop_oneof![0..300_u32, any::<u32>()], prop_oneof![0..300_u32, any::<u32>()]),
-        times in (any::<u64>(), any::<u64>()),
+        times in (any::<u64>(), prop_oneof![3 => Just(NOW), 1 => any::<u64>()]),
         unit in any::<bool>(),
     ) {
         let mut message = set(1, times.0, times.1, &[]);

@@ -41,8 +41,11 @@ fn layouts() -> Vec<Layout> {
     ]
 }
 
+/// A row of the document: offset, size, field.
+type Row = (usize, usize, String);
+
 /// `struct -> (size from its heading, rows of offset, size, field)` of the document.
-fn documented() -> BTreeMap<String, (usize, Vec<(usize, usize, String)>)> {
+fn documented() -> BTreeMap<String, (usize, Vec<Row>)> {
     let mut structs = BTreeMap::new();
     let mut name = String::new();
     let text = include_str!("../PAYLOADS.md");

@@ -1,0 +1,148 @@
+//! `sinew plan`.
+
+use super::record::PlanRecording;
+use super::{Outcome, progress_bar};
+use clap::{Args, ValueEnum};
+use miette::IntoDiagnostic;
+use sinew::config::{BodyModel, ScenarioConfig, WarningBranch};
+use sinew::report::{figures_table, summary_table};
+use sinew::scenario::{Run, sweep, sweep_table};
+use std::path::PathBuf;
+use std::time::Instant;
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Branch {
+    /// The paper's particle swarm alone.
+    Swarm,
+    /// The swarm with the complementarity solution among its seeds.
+    Seeded,
+    /// The extended complementarity problem alone.
+    Complementarity,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Body {
+    /// The paper's potential collision points.
+    Points,
+    /// The whole arm.
+    Arm,
+}
+
+/// Arguments of `sinew plan`.
+#[derive(Debug, Args)]
+pub(crate) struct Plan {
+    /// Name of a built-in scenario (tip, tip-no-avoidance, shape, shape-no-avoidance, penalty-sweep, swarm-comparison) or a
+    /// scenario file.
+    scenario: String,
+    /// What plans near obstacles; default: the scenario's.
+    #[arg(long)]
+    warning: Option<Branch>,
+    /// What distances are measured from; default: the scenario's.
+    #[arg(long)]
+    body: Option<Body>,
+    /// Seed of the swarm; default: the scenario's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Print one JSON object and nothing else to standard output.
+    #[arg(long)]
+    json: bool,
+    /// Write the whole time series as an MCAP recording.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+impl Plan {
+    pub(crate) fn run(self) -> miette::Result<Outcome> {
+        let mut scenario = ScenarioConfig::find(&self.scenario)?;
+        if let Some(warning) = self.warning {
+            scenario.planner.warning = match warning {
+                Branch::Swarm => WarningBranch::Swarm,
+                Branch::Seeded => WarningBranch::Seeded,
+                Branch::Complementarity => WarningBranch::Complementarity,
+            };
+        }
+        if let Some(body) = self.body {
+            scenario.planner.body = match body {
+                Body::Points => BodyModel::Points,
+                Body::Arm => BodyModel::Arm,
+            };
+        }
+        let seed = self.seed.unwrap_or(scenario.seed);
+        if scenario.sweep.is_empty() { self.single(&scenario, seed) } else { self.all(&scenario, seed) }
+    }
+
+    fn single(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
+        let mut run = Run::new(scenario, seed).into_diagnostic()?;
+        let mut collector = run.collector();
+        let mut recording =
+            self.out.as_deref().map(|path| PlanRecording::create(path, &run)).transpose().into_diagnostic()?;
+        let bar = progress_bar(run.total(), &scenario.name);
+        let begin = Instant::now();
+        let mut clock = || begin.elapsed().as_nanos() as u64;
+        let mut failed = None;
+        while run.steps() < run.total() {
+            match run.step(&mut clock) {
+                Ok(step) => {
+                    run.collect(&step, &mut collector);
+                    if let Some(recording) = &mut recording {
+                        recording.write(&run, &step).into_diagnostic()?;
+                    }
+                }
+                Err(error) => {
+                    collector.add_fault(error.to_string());
+                    failed = Some(error);
+                    break;
+                }
+            }
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        if let Some(recording) = recording {
+            recording.finish().into_diagnostic()?;
+        }
+        let eta = scenario.planner.lookahead_s;
+        let summary = collector.summary(&scenario.name, seed, eta, eta, false);
+        if self.json {
+            println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
+        } else {
+            println!("{}", summary_table(&summary));
+            println!("{}", figures_table(&scenario.figures, &summary));
+        }
+        let planner = &scenario.planner;
+        let contact = planner.avoidance && collector.contact(planner.body, contact_tolerance(planner.warning));
+        Ok(if failed.is_some() || contact { Outcome::Failed } else { Outcome::Done })
+    }
+
+    fn all(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
+        if self.out.is_some() {
+            miette::bail!("--out records one run; {} has {} variations", scenario.name, scenario.sweep.len());
+        }
+        let bar = progress_bar(0, &scenario.name);
+        let begin = Instant::now();
+        let rows = sweep(scenario, seed, &mut || begin.elapsed().as_nanos() as u64, &mut |index, step, steps| {
+            bar.set_length(steps * scenario.sweep.len() as u64);
+            bar.set_position(index as u64 * steps + step);
+        })
+        .into_diagnostic()?;
+        bar.finish_and_clear();
+        if self.json {
+            let object = serde_json::json!({ "scenario": scenario.name, "seed": seed, "runs": rows });
+            println!("{}", serde_json::to_string_pretty(&object).into_diagnostic()?);
+        } else {
+            println!("{}", sweep_table(&rows));
+            for f in &scenario.figures {
+                println!("{}: paper: {}; reference: {}", f.quantity, f.paper, f.reference);
+            }
+        }
+        Ok(Outcome::Done)
+    }
+}
+
+/// How deep a plan may lie inside an obstacle before it is a contact (m): the solver's tolerance, or the softness of the
+/// penalty where nothing but the swarm keeps the distance.
+fn contact_tolerance(warning: WarningBranch) -> f64 {
+    match warning {
+        WarningBranch::Seeded | WarningBranch::Complementarity => 1e-6,
+        WarningBranch::Swarm | WarningBranch::StandardSwarm => 0.5e-3,
+    }
+}

@@ -1,0 +1,109 @@
+//! What `sinew check` says about a configuration that was accepted.
+//!
+//! Enters: a checked configuration. Leaves: lines of label and value, ready for a table. The buses' load is computed
+//! where their protocol is known and is not part of it.
+
+use super::{BodyModel, BusKind, Config, ObserverKind, Routing, ScenarioConfig, Task};
+
+/// One line of a summary.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SummaryLine {
+    /// What it is about.
+    pub label: String,
+    /// What holds.
+    pub value: String,
+}
+
+fn line(label: &str, value: String) -> SummaryLine {
+    SummaryLine { label: label.to_owned(), value }
+}
+
+impl Config {
+    /// Summary of the arm, the loop, the planner, the observer, the buses and their drives.
+    pub fn summary(&self) -> Vec<SummaryLine> {
+        let arm = &self.arm;
+        let length: f64 = arm.segments.iter().map(|segment| segment.length_m + segment.connector_length_m).sum();
+        let routing = if arm.routing == Routing::Local { "local" } else { "through" };
+        let mut lines = vec![
+            line(
+                "arm",
+                format!("{}: {} segments, {} elements, {length:.3} m", arm.name, arm.segments.len(), arm.node_count()),
+            ),
+            line(
+                "cables",
+                format!("{}, routed {routing}, {} to {} N", arm.cable_count(), arm.tension_n_min, arm.tension_n_max),
+            ),
+        ];
+        let timing = &self.timing;
+        let scheduling = match (timing.priority, timing.cpu) {
+            (0, _) => "normal scheduling".to_owned(),
+            (priority, Some(cpu)) => format!("SCHED_FIFO {priority} on processor {cpu}"),
+            (priority, None) => format!("SCHED_FIFO {priority}"),
+        };
+        lines.push(line(
+            "period",
+            format!("{} ms ({:.0} Hz), {scheduling}", 1e3 * timing.period_s, 1.0 / timing.period_s),
+        ));
+        lines.push(line(
+            "late ticks",
+            format!(
+                "hold {}, ramp {} s, fault at {} in a row",
+                timing.overruns_hold, timing.ramp_s, timing.overruns_fault
+            ),
+        ));
+        let planner = &self.planner;
+        let body = match planner.body {
+            BodyModel::Arm => format!("whole arm, radius {} mm", 1e3 * planner.body_radius_m),
+            BodyModel::Points => "points".to_owned(),
+        };
+        lines.push(line(
+            "planner",
+            format!(
+                "lookahead {} s, {} Newton iterations, {:?}",
+                planner.lookahead_s, planner.newton_iterations_max, planner.warning
+            ),
+        ));
+        let barrier = planner.barrier.map_or("no barrier".to_owned(), |barrier| format!("barrier {}", barrier.gamma));
+        lines.push(line("obstacles", format!("{body}, clearance {} mm, {barrier}", 1e3 * planner.clearance_m)));
+        let kind = if self.observer.kind == ObserverKind::Passive { "passive" } else { "Kalman" };
+        lines.push(line("observer", format!("{kind}, latency {} ticks", self.observer.latency_ticks)));
+        for (index, bus) in self.drives.buses.iter().enumerate() {
+            let nodes: Vec<u8> =
+                self.drives.drives.iter().filter(|drive| drive.bus == index).map(|drive| drive.node_id).collect();
+            let range = match (nodes.iter().min(), nodes.iter().max()) {
+                (Some(least), Some(most)) => format!("{} drives, nodes {least} to {most}", nodes.len()),
+                _ => "no drives".to_owned(),
+            };
+            let kind = if bus.kind == BusKind::Virtual { "virtual" } else { "SocketCAN" };
+            let rate = if bus.fd {
+                format!("FD {} / {} kbit/s", bus.bitrate_bps / 1000, bus.data_bitrate_bps / 1000)
+            } else {
+                format!("{} kbit/s", bus.bitrate_bps / 1000)
+            };
+            let limit = 100.0 * bus.load_limit;
+            lines.push(line(
+                &format!("bus {}", bus.name),
+                format!("{kind} {}, {rate}, {range}, load at most {limit:.0} %", bus.interface),
+            ));
+        }
+        lines.push(line("services", format!("sinew/{}/..., prefix {}", self.ipc.arm, self.ipc.prefix)));
+        lines
+    }
+}
+
+impl ScenarioConfig {
+    /// Summary of a scenario.
+    pub fn summary(&self) -> Vec<SummaryLine> {
+        let task = match &self.task {
+            Task::Tip { .. } => "tip pose",
+            Task::Shape { .. } => "mean curvatures",
+        };
+        let arm = format!("{}: {} segments, {} cables", self.arm.name, self.arm.segments.len(), self.arm.cable_count());
+        vec![
+            line("scenario", self.name.clone()),
+            line("arm", arm),
+            line("task", format!("{task}, {} s, {} obstacles", self.duration_s, self.obstacles.len())),
+            line("step", format!("{} s, lookahead {} s", self.planner.period_s, self.planner.lookahead_s)),
+        ]
+    }
+}

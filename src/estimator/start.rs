@@ -1,0 +1,160 @@
+//! The first estimate: an arm at rest, from lengths and tensions.
+//!
+//! A constant-curvature chain that has the measured bend angles (Gauss-Newton on two curvatures per segment), then
+//! Newton on the static equations with those bend angles held and the disturbance moments `beta` unknown. A static
+//! solve for the tensions alone, from the straight arm, finds other branches of the equilibrium.
+
+use super::passive::Observer;
+use crate::math::block_tridiagonal::BLOCK;
+use crate::math::dense;
+use crate::model::{Motion, Rates};
+
+/// Why no first estimate was found.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum StartError {
+    /// Tensions or a valid length are not finite, or their number is wrong.
+    #[error("the start needs one finite tension and one length per cable")]
+    Input,
+    /// Gauss-Newton did not reach the measured bend angles.
+    #[error("no constant-curvature shape has these cable lengths: the bend angles stay {innovation_rad:.4} rad away")]
+    Shape {
+        /// Largest remaining |z| (rad).
+        innovation_rad: f64,
+    },
+    /// The static equations could not be solved at the shape.
+    #[error("the static equations are singular at the shape that the cable lengths give")]
+    Statics,
+}
+
+/// Largest remaining bend angle of the chain that is accepted (rad).
+const SHAPE_TOLERANCE_RAD: f64 = 1e-9;
+const SHAPE_ITERATIONS_MAX: usize = 30;
+const STATIC_ITERATIONS_MAX: usize = 12;
+/// Newton's static corrections above this norm are not trusted beyond the first (m, 1).
+const CORRECTION_MAX: f64 = 0.5;
+
+impl Observer {
+    /// Starts at rest under tensions `u` (N) with the measured `lengths` (m); `valid` tells which lengths count
+    /// (empty: all). Allocates a little; call it before the loop.
+    ///
+    /// # Errors
+    /// [`StartError`]; the estimate is then not usable.
+    pub fn start(&mut self, lengths: &[f64], valid: &[bool], u: &[f64]) -> Result<(), StartError> {
+        let nc = self.arm.cable_count();
+        if lengths.len() != nc || u.len() != nc || u.iter().any(|u| !u.is_finite()) {
+            return Err(StartError::Input);
+        }
+        self.reset();
+        self.space.select(|c| super::passive::usable(lengths, valid, c));
+        self.shape(lengths)?;
+        self.statics(lengths, u)?;
+        for sent in &mut self.sent {
+            sent.copy_from_slice(u);
+        }
+        self.settle_prediction();
+        Ok(())
+    }
+
+    /// Gauss-Newton on the curvatures; leaves the chain in `state`, at rest.
+    fn shape(&mut self, lengths: &[f64]) -> Result<(), StartError> {
+        let n = self.space.angle_count();
+        let mut curvatures = vec![0.0; n];
+        let mut length: Vec<f64> = vec![0.0; lengths.len()];
+        let (mut z, mut moved) = (vec![0.0; n], vec![0.0; n]);
+        let mut jacobian = vec![0.0; n * n];
+        let mut innovation = f64::INFINITY;
+        for _ in 0..SHAPE_ITERATIONS_MAX {
+            self.arm.bent_into(&curvatures, &mut self.state.q);
+            self.arm.cable_lengths_into(&self.state.q, &mut length);
+            self.space.angles_into(&length, lengths, &mut z);
+            innovation = z.iter().fold(0.0, |a, z| a.max(z.abs()));
+            if innovation < SHAPE_TOLERANCE_RAD {
+                break;
+            }
+            for k in 0..n {
+                let h = 1e-6;
+                curvatures[k] += h;
+                self.arm.bent_into(&curvatures, &mut self.state.q);
+                curvatures[k] -= h;
+                self.arm.cable_lengths_into(&self.state.q, &mut length);
+                self.space.angles_into(&length, lengths, &mut moved);
+                for i in 0..n {
+                    jacobian[i * n + k] = (moved[i] - z[i]) / h;
+                }
+            }
+            // A segment whose cables are all silent keeps its curvature: unit row.
+            for i in 0..n {
+                if jacobian[i * n..(i + 1) * n].iter().all(|j| *j == 0.0) {
+                    jacobian[i * n + (i ^ 1)] = 1.0;
+                }
+            }
+            if !dense::solve_in_place(n, &mut jacobian, &mut z) {
+                return Err(StartError::Shape { innovation_rad: innovation });
+            }
+            curvatures.iter_mut().zip(&z).for_each(|(k, d)| *k -= d);
+        }
+        if !(innovation < 1e-6) {
+            return Err(StartError::Shape { innovation_rad: innovation });
+        }
+        self.arm.bent_into(&curvatures, &mut self.state.q);
+        for v in [&mut self.state.qd, &mut self.state.qdd, &mut self.state.a, &mut self.state.lambda] {
+            v.fill(0.0);
+        }
+        Ok(())
+    }
+
+    /// Newton on `f - B (u + T beta) = 0`, `z = 0` in (q, lambda, beta). The first step gives beta; the others only
+    /// refine the distribution of curvature inside the segments.
+    fn statics(&mut self, lengths: &[f64], u: &[f64]) -> Result<(), StartError> {
+        let n = self.space.angle_count();
+        for iteration in 0..STATIC_ITERATIONS_MAX {
+            self.effective.copy_from_slice(u);
+            self.space.add_tensions(&self.beta, &mut self.effective);
+            self.arm.cable_lengths_into(&self.state.q, &mut self.length);
+            self.space.angles_into(&self.length, lengths, &mut self.z);
+            let motion = Motion::from(&self.state);
+            if self.stepper.linearize(&self.arm, &motion, &self.effective, Rates::STATIC).is_err() {
+                return Err(StartError::Statics);
+            }
+            self.moment_panel();
+            let dx = self.stepper.correction(&self.effective);
+            // z falls by V^T dx: V^T (dx + S^-1 V dbeta) = z.
+            for i in 0..n {
+                let along: f64 = (0..dx.len()).map(|r| self.v[r * n + i] * dx[r]).sum();
+                self.small_b[i] = self.z[i] - along;
+                for k in 0..n {
+                    self.small_a[i * n + k] =
+                        (0..dx.len()).map(|r| self.v[r * n + i] * self.sv[r * n + k]).sum::<f64>();
+                }
+                // Not observable: its beta stays.
+                if (0..n).all(|k| self.small_a[i * n + k] == 0.0) {
+                    self.small_a[i * n + i] = 1.0;
+                }
+            }
+            if !dense::solve_in_place(n, &mut self.small_a, &mut self.small_b) {
+                return Err(StartError::Statics);
+            }
+            for (r, x) in dx.iter_mut().enumerate() {
+                *x += self.sv[r * n..(r + 1) * n].iter().zip(&self.small_b).map(|(s, b)| s * b).sum::<f64>();
+            }
+            let norm = (0..dx.len()).filter(|r| r % BLOCK < 7).map(|r| dx[r] * dx[r]).sum::<f64>().sqrt();
+            if !norm.is_finite() {
+                return Err(StartError::Statics);
+            }
+            if norm > CORRECTION_MAX {
+                // Far from an equilibrium: keep the chain and the moments of one linear step.
+                if iteration == 0 {
+                    self.beta.iter_mut().zip(&self.small_b).for_each(|(b, d)| *b += d);
+                }
+                return Ok(());
+            }
+            self.beta.iter_mut().zip(&self.small_b).for_each(|(b, d)| *b += d);
+            self.dx.copy_from_slice(dx);
+            self.stepper.apply(&self.dx, Rates::STATIC, &mut self.state);
+            if norm < 1e-10 {
+                break;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,259 @@
+//! The hand-over between the I/O thread and the control thread: wait-free on both sides.
+//!
+//! Inputs are newest-value (triple buffers); commands, records, replies and events go through bounded rings. A full ring
+//! drops the new entry and counts it: the control thread never waits, and nothing behind it can stop it.
+
+use super::intake::{EncoderTable, ObstacleTable, TargetTrack};
+use super::payload::{RefusalReason, RequestKind, State, SupervisorState, Verdict};
+use rtrb::{Consumer, Producer, RingBuffer};
+use triple_buffer::{Input, Output, triple_buffer};
+
+/// An operator's request on its way to the supervisor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Command {
+    /// Goes back in [`Reply::ticket`].
+    pub ticket: u64,
+    /// What is asked for.
+    pub kind: RequestKind,
+}
+
+/// The supervisor's answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reply {
+    /// The command's.
+    pub ticket: u64,
+    /// Accepted or refused.
+    pub verdict: Verdict,
+    /// Why refused.
+    pub reason: RefusalReason,
+    /// A number that belongs to the reason.
+    pub detail: u32,
+    /// Supervisor's state after the command.
+    pub supervisor: SupervisorState,
+    /// Fault code, 0 without a fault.
+    pub fault_code: u32,
+    /// Detail of the fault.
+    pub fault_detail: u32,
+}
+
+impl Reply {
+    /// An answer that accepts.
+    pub const fn accepted(command: &Command, supervisor: SupervisorState) -> Self {
+        Self {
+            ticket: command.ticket,
+            verdict: Verdict::Accepted,
+            reason: RefusalReason::None,
+            detail: 0,
+            supervisor,
+            fault_code: 0,
+            fault_detail: 0,
+        }
+    }
+
+    /// An answer that refuses.
+    pub const fn refused(command: &Command, supervisor: SupervisorState, reason: RefusalReason) -> Self {
+        Self { verdict: Verdict::Refused, reason, ..Self::accepted(command, supervisor) }
+    }
+}
+
+/// Something that happened in the loop; formatted by others, later.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Event {
+    /// CLOCK_MONOTONIC (ns).
+    pub time_ns: u64,
+    /// Tick.
+    pub tick: u64,
+    /// Code of the event's kind.
+    pub code: u32,
+    /// Index that belongs to it (cable, drive, source).
+    pub detail: u32,
+    /// Number that belongs to it.
+    pub value: f64,
+    /// What happened, in fixed words.
+    pub text: &'static str,
+}
+
+/// Capacities of the rings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ChannelCapacity {
+    /// Commands and replies.
+    pub commands: usize,
+    /// Records of ticks (15 kB each).
+    pub records: usize,
+    /// Events.
+    pub events: usize,
+}
+
+impl Default for ChannelCapacity {
+    fn default() -> Self {
+        Self { commands: 16, records: 64, events: 1024 }
+    }
+}
+
+/// Inputs that a tick in lockstep waits for.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct LockstepSources {
+    /// Encoders.
+    pub encoders: bool,
+    /// A task client that sends a target for every tick.
+    pub target: bool,
+    /// Obstacle sources.
+    pub obstacles: Vec<u32>,
+}
+
+/// What the control thread reads.
+#[derive(Debug)]
+pub struct ControlInputs {
+    encoders: Output<EncoderTable>,
+    target: Output<TargetTrack>,
+    obstacles: Output<ObstacleTable>,
+    commands: Consumer<Command>,
+}
+
+impl ControlInputs {
+    /// Takes over the newest of everything, once per tick. Wait-free; does not allocate or copy.
+    pub fn update(&mut self) {
+        self.encoders.update();
+        self.target.update();
+        self.obstacles.update();
+    }
+
+    /// Encoder states as of the last [`ControlInputs::update`].
+    pub fn encoders(&self) -> &EncoderTable {
+        self.encoders.output_buffer()
+    }
+
+    /// Targets as of the last update.
+    pub fn target(&self) -> &TargetTrack {
+        self.target.output_buffer()
+    }
+
+    /// Obstacles as of the last update.
+    pub fn obstacles(&self) -> &ObstacleTable {
+        self.obstacles.output_buffer()
+    }
+
+    /// The next command; `None` if there is none.
+    pub fn next_command(&mut self) -> Option<Command> {
+        self.commands.pop().ok()
+    }
+
+    /// Lockstep: whether all inputs of a tick are here. Call [`ControlInputs::update`] before.
+    pub fn is_ready_for(&self, tick: u64, sources: &LockstepSources) -> bool {
+        (!sources.encoders || self.encoders().is_ready_for(tick))
+            && (!sources.target || self.target().is_ready_for(tick))
+            && self.obstacles().is_ready_for(tick, &sources.obstacles)
+    }
+}
+
+/// What the control thread writes.
+#[derive(Debug)]
+pub struct ControlOutputs {
+    records: Producer<State>,
+    replies: Producer<Reply>,
+    events: Producer<Event>,
+    dropped: u64,
+}
+
+impl ControlOutputs {
+    /// Hands over a tick's record; `records_dropped` is filled in. `false` if the ring was full. Wait-free.
+    pub fn record(&mut self, state: &mut State) -> bool {
+        state.records_dropped = self.dropped;
+        let pushed = self.records.push(*state).is_ok();
+        self.dropped += u64::from(!pushed);
+        pushed
+    }
+
+    /// Answers a command; `false` if the ring was full (the I/O thread then answers that nobody did). Wait-free.
+    pub fn reply(&mut self, reply: Reply) -> bool {
+        self.replies.push(reply).is_ok()
+    }
+
+    /// Hands over an event; `false`, and counted with the records, if the ring was full. Wait-free.
+    pub fn event(&mut self, event: Event) -> bool {
+        let pushed = self.events.push(event).is_ok();
+        self.dropped += u64::from(!pushed);
+        pushed
+    }
+
+    /// Records and events that found their ring full.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+/// The I/O thread's ends.
+#[derive(Debug)]
+pub struct IoEnds {
+    pub(crate) encoders: Input<EncoderTable>,
+    pub(crate) target: Input<TargetTrack>,
+    pub(crate) obstacles: Input<ObstacleTable>,
+    pub(crate) commands: Producer<Command>,
+    pub(crate) records: Consumer<State>,
+    pub(crate) replies: Consumer<Reply>,
+    pub(crate) events: Consumer<Event>,
+}
+
+/// Makes all channels. Allocates everything that they ever use.
+pub fn channels(
+    cable_count: usize,
+    segment_count: usize,
+    declared_sources: &[u32],
+    capacity: ChannelCapacity,
+) -> (ControlInputs, ControlOutputs, IoEnds) {
+    let (encoders_in, encoders_out) = triple_buffer(&EncoderTable::new(cable_count));
+    let (target_in, target_out) = triple_buffer(&TargetTrack::new(segment_count));
+    let (obstacles_in, obstacles_out) = triple_buffer(&ObstacleTable::new(declared_sources));
+    let (commands_in, commands_out) = RingBuffer::new(capacity.commands);
+    let (records_in, records_out) = RingBuffer::new(capacity.records);
+    let (replies_in, replies_out) = RingBuffer::new(capacity.commands);
+    let (events_in, events_out) = RingBuffer::new(capacity.events);
+    (
+        ControlInputs { encoders: encoders_out, target: target_out, obstacles: obstacles_out, commands: commands_out },
+        ControlOutputs { records: records_in, replies: replies_in, events: events_in, dropped: 0 },
+        IoEnds {
+            encoders: encoders_in,
+            target: target_in,
+            obstacles: obstacles_in,
+            commands: commands_in,
+            records: records_out,
+            replies: replies_out,
+            events: events_out,
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_ring_drops_and_counts_and_the_next_record_says_so() {
+        let capacity = ChannelCapacity { records: 2, ..ChannelCapacity::default() };
+        let (_inputs, mut outputs, mut io) = channels(24, 4, &[], capacity);
+        let mut state = State::default();
+        let pushed: Vec<bool> = (0..4).map(|_| outputs.record(&mut state)).collect();
+        assert_eq!(pushed, [true, true, false, false]);
+        assert!(io.records.pop().is_ok());
+        assert!(outputs.record(&mut state));
+        assert_eq!(std::iter::from_fn(|| io.records.pop().ok()).last().unwrap().records_dropped, 2);
+    }
+
+    #[test]
+    fn the_control_thread_reads_and_writes_without_allocating() {
+        let (mut inputs, mut outputs, mut io) = channels(24, 4, &[], ChannelCapacity::default());
+        let mut state = State::default();
+        let mut tracked = crate::ipc::intake::TrackedSet::new();
+        let limits = crate::ipc::intake::InputLimits::default();
+        assert!(io.commands.push(Command { ticket: 1, kind: RequestKind::Arm }).is_ok());
+        assert_no_alloc::assert_no_alloc(|| {
+            inputs.update();
+            inputs.obstacles().track_into(1, 0.1, &limits, &mut tracked);
+            inputs.obstacles().report_into(1, &limits, &mut state);
+            let command = inputs.next_command().unwrap();
+            outputs.reply(Reply::accepted(&command, SupervisorState::Holding));
+            outputs.record(&mut state);
+        });
+        assert_eq!(io.replies.pop().unwrap().ticket, 1);
+    }
+}

@@ -1,0 +1,292 @@
+//! Moves messages between the ports and the control thread's channels.
+
+use super::IpcError;
+use super::channels::{Command, Event, IoEnds, Reply};
+use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
+use super::payload::{
+    Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State, SupervisorState,
+    Target, Verdict,
+};
+use super::ports::{DaemonPorts, OpenRequest};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// How the loop waits when there is nothing to move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pace {
+    /// Sleeps, at most 200 us: what a message may wait here.
+    RealTime {
+        /// Time to sleep.
+        sleep: Duration,
+    },
+    /// Gives way to other threads and looks again at once: as fast as it computes.
+    Lockstep,
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self::RealTime { sleep: Duration::from_micros(100) }
+    }
+}
+
+/// Thresholds of all inputs.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct IoLimits {
+    /// Obstacles.
+    pub obstacles: InputLimits,
+    /// Targets.
+    pub target: InputLimits,
+    /// Encoders.
+    pub encoders: InputLimits,
+}
+
+/// Sees everything that passes, on the I/O thread: the recorder's place. Must not block.
+pub trait Tap: Send {
+    /// A tick's record.
+    fn state(&mut self, _state: &State) {}
+    /// An accepted obstacle set.
+    fn obstacles(&mut self, _obstacles: &Obstacles) {}
+    /// An accepted target.
+    fn target(&mut self, _target: &Target) {}
+    /// An event of the loop.
+    fn event(&mut self, _event: &Event) {}
+}
+
+/// A tap that looks at nothing.
+impl Tap for () {}
+
+/// A tap that may be absent: recording is a choice of the configuration.
+impl<T: Tap> Tap for Option<T> {
+    fn state(&mut self, state: &State) {
+        self.iter_mut().for_each(|tap| tap.state(state));
+    }
+
+    fn obstacles(&mut self, obstacles: &Obstacles) {
+        self.iter_mut().for_each(|tap| tap.obstacles(obstacles));
+    }
+
+    fn target(&mut self, target: &Target) {
+        self.iter_mut().for_each(|tap| tap.target(target));
+    }
+
+    fn event(&mut self, event: &Event) {
+        self.iter_mut().for_each(|tap| tap.event(event));
+    }
+}
+
+/// How long the control thread may take over an answer.
+const ANSWER_NS_MAX: u64 = 1_000_000_000;
+/// Requests that may wait for an answer at once.
+const OPEN_REQUESTS_MAX: usize = 16;
+/// Records and events moved in one pass, so that inputs are not starved.
+const MOVED_PER_PASS: usize = 64;
+
+/// The loop between ports and channels.
+#[derive(Debug)]
+pub struct IoThread<T: Tap = ()> {
+    ports: DaemonPorts,
+    ends: IoEnds,
+    limits: IoLimits,
+    obstacles: ObstacleTable,
+    target: TargetTrack,
+    encoders: EncoderTable,
+    open: Vec<(Command, u64, OpenRequest)>,
+    next_ticket: u64,
+    last: (u32, u32, u32),
+    port_errors: u64,
+    tap: T,
+}
+
+impl<T: Tap> IoThread<T> {
+    /// Takes the ends of [`super::channels`]; the arm's counts and the declared sources must be the same as there.
+    pub fn new(ports: DaemonPorts, mut ends: IoEnds, limits: IoLimits, tap: T) -> Self {
+        let obstacles = ends.obstacles.input_buffer_mut().clone();
+        let target = ends.target.input_buffer_mut().clone();
+        let encoders = ends.encoders.input_buffer_mut().clone();
+        let open = Vec::with_capacity(OPEN_REQUESTS_MAX);
+        let last = (SupervisorState::Disarmed.wire(), 0, 0);
+        Self { ports, ends, limits, obstacles, target, encoders, open, next_ticket: 0, last, port_errors: 0, tap }
+    }
+
+    /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.
+    pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) {
+        while !stop.load(Ordering::Acquire) {
+            if self.poll(now()) == 0 {
+                match pace {
+                    Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
+                    Pace::Lockstep => std::thread::yield_now(),
+                }
+            }
+        }
+        self.poll(now());
+        for (command, _, request) in std::mem::take(&mut self.open) {
+            self.answer(&request, self.refusal(&command, RefusalReason::ShuttingDown));
+        }
+    }
+
+    /// One pass, never blocking. Returns how many messages were moved.
+    ///
+    /// Order: outputs first, so that a lockstep client sees tick k before its inputs for k + 1 are looked for; encoders
+    /// last, so that a tick that they release finds the obstacles and targets that were sent before them.
+    ///
+    /// A port that fails is tried again in the next pass: a client that dies while it connects must not end this thread,
+    /// and inputs that stay away are noticed by their age. Failures are logged at the 1st, 2nd, 4th, 8th ... one.
+    pub fn poll(&mut self, now_ns: u64) -> usize {
+        let results = [self.move_records(), self.move_requests(now_ns), self.move_inputs(now_ns)];
+        let mut moved = 0;
+        for result in results {
+            match result {
+                Ok(count) => moved += count,
+                Err(error) => {
+                    self.port_errors += 1;
+                    if self.port_errors.is_power_of_two() {
+                        tracing::warn!(%error, failures = self.port_errors, "shared memory");
+                    }
+                }
+            }
+        }
+        moved
+    }
+
+    fn move_records(&mut self) -> Result<usize, IpcError> {
+        let mut moved = 0;
+        while moved < MOVED_PER_PASS
+            && let Ok(state) = self.ends.records.pop()
+        {
+            self.last = (state.supervisor, state.fault_code, state.fault_detail);
+            self.tap.state(&state);
+            self.ports.publish_state(&state)?;
+            moved += 1;
+        }
+        while moved < 2 * MOVED_PER_PASS
+            && let Ok(event) = self.ends.events.pop()
+        {
+            self.tap.event(&event);
+            moved += 1;
+        }
+        Ok(moved)
+    }
+
+    fn move_inputs(&mut self, now_ns: u64) -> Result<usize, IpcError> {
+        let Self { ports, ends, limits, obstacles, target, encoders, tap, .. } = self;
+        let taken_obstacles = ports.take_obstacles(|message| {
+            if obstacles.accept(message, now_ns, &limits.obstacles).is_ok() {
+                tap.obstacles(message);
+            }
+        })?;
+        if taken_obstacles > 0 {
+            ends.obstacles.input_buffer_mut().copy_from(obstacles);
+            ends.obstacles.publish();
+        }
+        let taken_targets = ports.take_targets(|message| {
+            if target.accept(message, now_ns, &limits.target).is_ok() {
+                tap.target(message);
+            }
+        })?;
+        if taken_targets > 0 {
+            ends.target.input_buffer_mut().copy_from(target);
+            ends.target.publish();
+        }
+        let taken_encoders = ports.take_encoders(|message| {
+            // Rejections are counted in the table and reported in `State`.
+            let _ = encoders.accept(message, now_ns, &limits.encoders);
+        })?;
+        if taken_encoders > 0 {
+            ends.encoders.input_buffer_mut().clone_from(encoders);
+            ends.encoders.publish();
+        }
+        Ok(taken_obstacles + taken_targets + taken_encoders)
+    }
+
+    fn move_requests(&mut self, now_ns: u64) -> Result<usize, IpcError> {
+        let mut moved = 0;
+        while let Ok(reply) = self.ends.replies.pop() {
+            moved += 1;
+            let Some(place) = self.open.iter().position(|(c, ..)| c.ticket == reply.ticket) else { continue };
+            let (command, _, request) = self.open.swap_remove(place);
+            if command.kind == RequestKind::Clear && reply.verdict == Verdict::Accepted {
+                self.obstacles.forget_expired(now_ns, &self.limits.obstacles);
+                self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
+                self.ends.obstacles.publish();
+            }
+            self.answer(&request, reply);
+        }
+        while self.open.len() < OPEN_REQUESTS_MAX
+            && let Some(request) = self.ports.next_request()?
+        {
+            moved += 1;
+            self.take_request(request, now_ns);
+        }
+        while let Some(place) = self.open.iter().position(|(_, since, _)| now_ns.saturating_sub(*since) > ANSWER_NS_MAX)
+        {
+            let (command, _, request) = self.open.swap_remove(place);
+            self.answer(&request, self.refusal(&command, RefusalReason::NoAnswer));
+        }
+        Ok(moved)
+    }
+
+    fn take_request(&mut self, request: OpenRequest, now_ns: u64) {
+        let message: Request = *request.payload();
+        let ticket = self.next_ticket;
+        self.next_ticket += 1;
+        let kind = RequestKind::from_wire(message.kind);
+        let command = Command { ticket, kind: kind.unwrap_or(RequestKind::Status) };
+        let refused = if message.header.schema_version != SCHEMA_VERSION {
+            Some((RefusalReason::Schema, message.header.schema_version))
+        } else if kind.is_none() {
+            Some((RefusalReason::UnknownRequest, message.kind))
+        } else if kind == Some(RequestKind::SetTarget) {
+            self.take_target(&message.target, now_ns).err().map(|cause| (RefusalReason::BadTarget, cause.wire()))
+        } else {
+            None
+        };
+        if let Some((reason, detail)) = refused {
+            return self.answer(&request, Reply { detail, ..self.refusal(&command, reason) });
+        }
+        match self.ends.commands.push(command) {
+            Ok(()) => self.open.push((command, now_ns, request)),
+            Err(_) => self.answer(&request, self.refusal(&command, RefusalReason::Busy)),
+        }
+    }
+
+    fn take_target(&mut self, target: &Target, now_ns: u64) -> Result<(), RejectCause> {
+        self.target.accept(target, now_ns, &self.limits.target)?;
+        self.tap.target(target);
+        self.ends.target.input_buffer_mut().copy_from(&self.target);
+        self.ends.target.publish();
+        Ok(())
+    }
+
+    /// A refusal by this thread, with the state of the last record.
+    fn refusal(&self, command: &Command, reason: RefusalReason) -> Reply {
+        let supervisor = SupervisorState::from_wire(self.last.0).unwrap_or(SupervisorState::Disarmed);
+        Reply { fault_code: self.last.1, fault_detail: self.last.2, ..Reply::refused(command, supervisor, reason) }
+    }
+
+    fn answer(&self, request: &OpenRequest, reply: Reply) {
+        let mut response = Response {
+            header: request.payload().header,
+            verdict: reply.verdict.wire(),
+            reason: reply.reason.wire(),
+            detail: reply.detail,
+            supervisor: reply.supervisor.wire(),
+            fault_code: reply.fault_code,
+            fault_detail: reply.fault_detail,
+            ..Response::default()
+        };
+        match (reply.verdict, reply.reason, RejectCause::from_wire(reply.detail)) {
+            (Verdict::Accepted, ..) => response.set_text(reply.supervisor.text()),
+            (_, RefusalReason::BadTarget, Some(cause)) => {
+                response.set_text(&format!("{}: {}", reply.reason.text(), cause.text()));
+            }
+            (_, RefusalReason::WrongState, _) => {
+                response.set_text(&format!("{} ({})", reply.reason.text(), reply.supervisor.text()));
+            }
+            _ => response.set_text(reply.reason.text()),
+        }
+        // A client that has gone does not wait for its answer.
+        if let Err(error) = request.send_copy(response) {
+            tracing::debug!(?error, "answer not delivered");
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The daemon's side of the services.
+
+use super::IpcError;
+use super::domain::{Domain, Ipc, Session};
+use super::payload::{Encoders, Obstacles, Request, Response, State, Target};
+use super::service::{self, Message, Topic, service_name};
+use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
+use iceoryx2::port::server::Server;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::service::port_factory::server::ServerCreateError;
+use std::sync::Arc;
+
+/// A request that waits for its answer; dropped without one, the client sees that nobody answers.
+pub(crate) type OpenRequest = ActiveRequest<Ipc, Request, (), Response, ()>;
+
+/// All ports of the daemon of one arm, for one I/O thread.
+///
+/// Dropping it removes the services that nobody else has open, the node, and what iceoryx2 leaves behind.
+#[derive(Debug)]
+pub struct DaemonPorts {
+    encoders: Subscriber<Ipc, Encoders, ()>,
+    obstacles: Subscriber<Ipc, Obstacles, ()>,
+    target: Subscriber<Ipc, Target, ()>,
+    state: Publisher<Ipc, State, ()>,
+    requests: Server<Ipc, Request, (), Response, ()>,
+    // Behind the ports: fields drop in order, and the node goes last.
+    _session: Arc<Session>,
+}
+
+pub(crate) fn subscribe<T: Message>(topic: &Topic<T>, arm: &str) -> Result<Subscriber<Ipc, T, ()>, IpcError> {
+    topic.subscriber_builder().buffer_size(1).create().map_err(|e| port_error(e, arm, T::SERVICE, "subscriber"))
+}
+
+pub(crate) fn port_error(error: impl std::fmt::Debug, arm: &str, service: &str, port: &'static str) -> IpcError {
+    let name = service_name(arm, service);
+    let cause = format!("{error:?}");
+    if cause.contains("ExceedsMaxSupported") {
+        IpcError::Full { service: name, port }
+    } else {
+        IpcError::Port { operation: "creating a port", service: name, cause }
+    }
+}
+
+impl DaemonPorts {
+    /// Creates the services of an arm and the daemon's ports; cleans up after dead processes first.
+    ///
+    /// # Errors
+    /// [`IpcError::AlreadyRunning`] if a living process serves the arm, otherwise what iceoryx2 reports.
+    pub fn create(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
+        let session = Session::open(domain, "sinew daemon")?;
+        let requests = service::create_requests(&session, arm)?.server_builder().create().map_err(|e| match e {
+            ServerCreateError::ExceedsMaxSupportedServers => IpcError::AlreadyRunning { arm: arm.to_owned() },
+            e => port_error(e, arm, "request", "server"),
+        })?;
+        let state = service::create::<State>(&session, arm)?.publisher_builder().create().map_err(|e| match e {
+            PublisherCreateError::ExceedsMaxSupportedPublishers => IpcError::AlreadyRunning { arm: arm.to_owned() },
+            e => port_error(e, arm, State::SERVICE, "publisher"),
+        })?;
+        Ok(Self {
+            encoders: subscribe(&service::create(&session, arm)?, arm)?,
+            obstacles: subscribe(&service::create(&session, arm)?, arm)?,
+            target: subscribe(&service::create(&session, arm)?, arm)?,
+            state,
+            requests,
+            _session: session,
+        })
+    }
+
+    /// Every encoder message that waits. Returns their number.
+    pub fn take_encoders(&self, take: impl FnMut(&Encoders)) -> Result<usize, IpcError> {
+        drain(&self.encoders, take)
+    }
+
+    /// Every obstacle message that waits, of all publishers. Returns their number.
+    pub fn take_obstacles(&self, take: impl FnMut(&Obstacles)) -> Result<usize, IpcError> {
+        drain(&self.obstacles, take)
+    }
+
+    /// Every target message that waits. Returns their number.
+    pub fn take_targets(&self, take: impl FnMut(&Target)) -> Result<usize, IpcError> {
+        drain(&self.target, take)
+    }
+
+    /// The next request; `None` if there is none.
+    pub(crate) fn next_request(&self) -> Result<Option<OpenRequest>, IpcError> {
+        self.requests.receive().map_err(|e| IpcError::port("receiving", "request", e))
+    }
+
+    /// Publishes a tick's record. Allocates 48 bytes; not for the control thread.
+    pub fn publish_state(&self, state: &State) -> Result<(), IpcError> {
+        send(&self.state, state)
+    }
+}
+
+pub(crate) fn send<T: Message>(port: &Publisher<Ipc, T, ()>, payload: &T) -> Result<(), IpcError> {
+    let sample = port.loan_uninit().map_err(|e| IpcError::port("loaning", T::SERVICE, e))?;
+    sample.write_payload(*payload).send().map_err(|e| IpcError::port("sending", T::SERVICE, e))?;
+    Ok(())
+}
+
+fn drain<T: Message>(port: &Subscriber<Ipc, T, ()>, mut take: impl FnMut(&T)) -> Result<usize, IpcError> {
+    // Bounded: one sample per publisher is what the buffers hold; a flood must not keep the thread here.
+    for taken in 0..T::MAX_PUBLISHERS {
+        match port.receive().map_err(|e| IpcError::port("receiving", T::SERVICE, e))? {
+            Some(sample) => take(&sample),
+            None => return Ok(taken),
+        }
+    }
+    Ok(T::MAX_PUBLISHERS)
+}

@@ -1,0 +1,88 @@
+//! Start of a tip task: static equilibrium with the tip at a given pose and the least sum of squared tensions.
+
+use super::complementarity::{Problem, Solver};
+use super::problem::{Goal, Quadratic};
+use crate::integrator::{AffineMap, StaticsError, Stepper, equilibrium};
+use crate::math::block_tridiagonal::BLOCK;
+use crate::model::{Arm, Motion, Rates, State};
+use nalgebra::{Vector3, Vector4};
+
+/// Why no start was found.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum StartError {
+    /// The iteration ended away from the pose.
+    #[error(
+        "no equilibrium with the tip at the wanted pose was found: {distance:.4} m from it after {iterations} iterations"
+    )]
+    PoseNotReached {
+        /// Distance of the tip from the wanted position (m).
+        distance: f64,
+        /// Iterations.
+        iterations: usize,
+    },
+    /// The tensions found do not hold an equilibrium.
+    #[error(transparent)]
+    Statics(#[from] StaticsError),
+}
+
+/// A weight that makes the pose a constraint beside tensions of 100 N: it leaves about 1e-8 m.
+const POSE_WEIGHT: f64 = 1e13;
+const ITERATIONS_MAX: usize = 400;
+
+/// Finds tensions and state from the guess in `state`, which chooses among the arm's branches. Allocates.
+///
+/// Each iteration takes the static equations' affine map at the iterate and the box-constrained tensions that are
+/// least under it with the tip at the pose; steps are shortened so that no quaternion jumps.
+///
+/// # Errors
+/// [`StartError`].
+pub fn tip_start(
+    arm: &Arm,
+    position: Vector3<f64>,
+    quaternion: Vector4<f64>,
+    lower: &[f64],
+    upper: &[f64],
+    state: &mut State,
+) -> Result<Vec<f64>, StartError> {
+    let nc = arm.cable_count();
+    let mut stepper = Stepper::new(arm);
+    let mut map = AffineMap::new(arm);
+    let mut quadratic = Quadratic::new(arm);
+    let mut solver = Solver::new(nc, 0);
+    let mut dx = vec![0.0; BLOCK * arm.node_count()];
+    let mut u = lower.to_vec();
+    let mut wanted = u.clone();
+    let still = vec![0.0; nc];
+    let goal = Goal::Tip { position, quaternion, pose: POSE_WEIGHT, rate: 0.0, damping: 0.0 };
+    let mut iterations = 0;
+    loop {
+        iterations += 1;
+        let linear = stepper.linearize(arm, &Motion::from(&*state), &u, Rates::STATIC);
+        let distance = (arm.tip(&state.q, &state.qd).position - position).norm();
+        if linear.is_err() || iterations > ITERATIONS_MAX || !distance.is_finite() {
+            return Err(StartError::PoseNotReached { distance, iterations });
+        }
+        stepper.affine_map_into(&mut map);
+        quadratic.build(arm, state, Rates::STATIC, &map, &goal, 1.0, &still, &still);
+        let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[] };
+        wanted.copy_from_slice(&u);
+        solver.solve(&problem, &mut wanted);
+        map.evaluate_into(&wanted, &mut dx);
+        let largest =
+            (0..arm.node_count()).flat_map(|i| &dx[BLOCK * i..BLOCK * i + 7]).fold(0.0f64, |a, x| a.max(x.abs()));
+        let change = u.iter().zip(&wanted).fold(0.0f64, |a, (x, y)| a.max((x - y).abs()));
+        let share = (0.05 / largest).min(1.0);
+        dx.iter_mut().for_each(|x| *x *= share);
+        u.iter_mut().zip(&wanted).for_each(|(u, w)| *u += share * (w - *u));
+        stepper.apply(&dx, Rates::STATIC, state);
+        if share == 1.0 && largest < 1e-10 && change < 1e-7 {
+            break;
+        }
+    }
+    equilibrium(arm, &mut stepper, &u, state)?;
+    let distance = (arm.tip(&state.q, &state.qd).position - position).norm();
+    if distance > 1e-6 {
+        return Err(StartError::PoseNotReached { distance, iterations });
+    }
+    Ok(u)
+}

@@ -1,0 +1,121 @@
+//! Tables for people.
+
+use super::summary::{Count, Percentiles, Summary};
+use crate::config::PublishedFigure;
+use comfy_table::{ContentArrangement, Table, presets};
+use serde_json::Value;
+
+/// An empty table with a header, in the style of all reports.
+pub fn plain_table(header: &[&str]) -> Table {
+    let mut t = Table::new();
+    t.load_style(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic);
+    t.set_header(header.iter().copied());
+    t
+}
+
+/// What the run achieved, in lines of name and value.
+pub fn summary_table(s: &Summary) -> String {
+    let mut t = plain_table(&["quantity", "value"]);
+    let mut row = |name: &str, value: String| {
+        t.add_row([name.to_owned(), value]);
+    };
+    let count = |c: Option<Count>| c.map_or("-".into(), |c| format!("{:.2} mean, {} max", c.mean, c.max));
+    let time =
+        |p: Option<Percentiles>| p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max));
+    row("steps", format!("{} of {} s, lookahead {} s, seed {}", s.ticks, s.period_s, s.lookahead_s, s.seed));
+    if let Some(n) = s.not_converged {
+        row("steps not converged", n.to_string());
+    }
+    row("Newton iterations, safe", count(s.newton.safe));
+    row("Newton iterations, warning", count(s.newton.warning));
+    for o in &s.obstacles {
+        row(
+            &format!("{}: least surface distance, whole arm", o.id),
+            format!("{:.2} mm at {} s{}", 1e3 * o.surface_distance_min_m, o.at_s, inside(&o.inside_s)),
+        );
+        row(
+            &format!("{}: at the paper's points", o.id),
+            format!(
+                "{:.2} mm at {} s{}",
+                1e3 * o.points.surface_distance_min_m,
+                o.points.at_s,
+                inside(&o.points.inside_s)
+            ),
+        );
+    }
+    row("tensions", format!("{:.3} to {:.3} N", s.tension_n.min, s.tension_n.max));
+    for (cable, at) in &s.tension_n.saturated {
+        row(&format!("cable {cable} at its bound"), format!("from {} s, {} steps", at.first_s, at.ticks));
+    }
+    if let Some(e) = &s.tip_error_m {
+        row("tip error, largest", format!("{:.2} mm", 1e3 * e.norm_max));
+        row("tip error, mean", format!("{:.2} mm", 1e3 * e.norm_mean));
+    }
+    if let Some(q) = s.quaternion_error_max {
+        row("quaternion error, largest", format!("{q:.2e}"));
+    }
+    if let Some(k) = s.curvature_error_final_1pm {
+        row("curvature error at the end", format!("{k:.4} 1/m"));
+    }
+    row("time per step, safe (p50/p99/max)", time(s.time_us.safe));
+    row("time per step, warning (p50/p99/max)", time(s.time_us.warning));
+    if let Some(cycle) = s.time_us.cycle {
+        row("whole cycle (p50/p99/max)", time(Some(cycle)));
+    }
+    if let Some(l) = &s.loop_ {
+        row("deadlines missed", l.missed.to_string());
+        row("wake-up late (p50/p99/max)", l.wakeup_us.map_or("lockstep".into(), |p| time(Some(p))));
+    }
+    row("faults", if s.faults.is_empty() { "none".into() } else { s.faults.join("; ") });
+    t.to_string()
+}
+
+/// The paper's and the reference's figures with ours beside them; empty without figures.
+pub fn figures_table(figures: &[PublishedFigure], summary: &Summary) -> String {
+    if figures.is_empty() {
+        return String::new();
+    }
+    let json = serde_json::to_value(summary).unwrap_or(Value::Null);
+    let mut t = plain_table(&["quantity", "paper", "reference", "this run"]);
+    for f in figures {
+        t.add_row([f.quantity.clone(), f.paper.clone(), f.reference.clone(), show(&json, &f.field)]);
+    }
+    t.to_string()
+}
+
+/// Value(s) at the path(s) `field`, several separated by `, `.
+fn show(json: &Value, field: &str) -> String {
+    let one = |path: &str| {
+        let value = path.split('.').try_fold(json, |v, key| match key.parse::<usize>() {
+            Ok(i) if v.is_array() => v.get(i),
+            _ => v.get(key),
+        });
+        value.map_or_else(|| "-".into(), short)
+    };
+    field.split(',').map(|p| one(p.trim())).collect::<Vec<_>>().join("; ")
+}
+
+fn short(v: &Value) -> String {
+    match v {
+        Value::Null => "-".into(),
+        Value::Number(n) if n.is_f64() => {
+            let x = n.as_f64().unwrap_or(f64::NAN);
+            if x != 0.0 && (x.abs() < 1e-2 || x.abs() >= 1e4) { format!("{x:.2e}") } else { format!("{x:.4}") }
+        }
+        Value::Number(n) => n.to_string(),
+        Value::String(s) => s.clone(),
+        Value::Bool(b) => b.to_string(),
+        Value::Array(a) if a.is_empty() => "never".into(),
+        Value::Array(a) => format!("[{}]", a.iter().map(short).collect::<Vec<_>>().join(", ")),
+        Value::Object(o) if o.is_empty() => "none".into(),
+        Value::Object(o) => o.iter().map(|(k, v)| format!("{k} {}", short(v))).collect::<Vec<_>>().join(", "),
+    }
+}
+
+fn inside(intervals: &[[f64; 2]]) -> String {
+    if intervals.is_empty() {
+        return String::new();
+    }
+    let list: Vec<_> = intervals.iter().map(|[a, b]| format!("[{a}, {b}]")).collect();
+    format!(", inside {} s", list.join(", "))
+}

@@ -1,0 +1,12 @@
+//! A scenario in open loop, as in the paper: the planner's own model is the arm, period = lookahead.
+//!
+//! Enters: a checked scenario, a seed, a clock for the reported times. Leaves: one [`Step`] after the other, and
+//! statistics. It never sleeps and never talks to a bus: the closed loop is the daemon's.
+
+mod goals;
+mod run;
+mod sweep;
+
+pub use goals::{Course, CourseError};
+pub use run::{Run, RunError, Step};
+pub use sweep::{SweepRow, sweep, sweep_table};

@@ -1,0 +1,736 @@
+//! The configuration refuses what it must, in words that help, and accepts what is shipped.
+
+// A test that cannot go on fails; the exemption of the lints covers test functions, not their helpers.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use sinew::config::schema::{Kind, Presence, TableSpec};
+use sinew::config::{
+    ArmConfig, BUILTIN_FILES, ChordRule, Config, ConfigError, Motion, PayloadConfig, Routing, SCENARIOS,
+    ScenarioConfig, SegmentConfig, ShapeConfig, Start, StrainRule, TABLES, Task, TipPath, WarningBranch,
+};
+use std::f64::consts::{FRAC_1_SQRT_2, PI};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+fn shipped(name: &str) -> String {
+    BUILTIN_FILES.iter().find(|(file, _)| *file == name).unwrap().1.to_owned()
+}
+
+fn files(names: &[&str]) -> Vec<(String, String)> {
+    names.iter().map(|name| ((*name).to_owned(), shipped(name))).collect()
+}
+
+/// Every part must be in the report of the refusal.
+fn expect<T: std::fmt::Debug>(result: Result<T, ConfigError>, parts: &[&str]) {
+    let error = result.expect_err("must be refused");
+    // The snippet's frame breaks long lines; the words are compared without it.
+    let report = format!("{}\n{}", error.report(), error.lines().collect::<Vec<_>>().join("\n"));
+    for part in parts {
+        assert!(report.contains(part), "`{part}` is not in\n{report}");
+    }
+}
+
+/// The shipped configuration with one text replaced in one file.
+fn changed(file: &str, from: &str, to: &str) -> Result<Config, ConfigError> {
+    let mut texts = files(&["arm.toml", "controller.toml", "drives.toml"]);
+    let text = &mut texts.iter_mut().find(|(name, _)| name == file).unwrap().1;
+    assert!(text.contains(from), "{file} has no `{from}`");
+    *text = text.replacen(from, to, 1);
+    Config::parse(texts)
+}
+
+fn line_of(file: &str, from: &str) -> usize {
+    let text = shipped(file);
+    text[..text.find(from).unwrap()].matches('\n').count() + 1
+}
+
+/// One thing wrong in a shipped file: the report must show `file:line`, and these parts.
+fn refuse(file: &str, from: &str, to: &str, parts: &[&str]) {
+    let place = format!("{file}:{}:", line_of(file, from));
+    let mut all = vec![place.as_str()];
+    all.extend_from_slice(parts);
+    expect(changed(file, from, to), &all);
+}
+
+#[test]
+fn the_built_in_arm_is_the_papers() {
+    let segment = |last: bool| SegmentConfig {
+        length_m: 0.65,
+        elements: 5,
+        bending_stiffness_nm2: 7.0,
+        torsional_stiffness_nm2: 7.0 / 1.3,
+        damping_stiffness_s: 0.05,
+        disk_mass_kg: 0.3,
+        disk_radius_m: 0.055,
+        disk_thickness_m: 0.01,
+        backbone_mass_kgpm: 0.15,
+        backbone_radius_m: 0.004,
+        connector_length_m: if last { 0.0 } else { 0.05 },
+        connector_mass_kg: 0.0,
+        hole_radius_m: 0.05,
+        hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
+    };
+    let expected = ArmConfig {
+        name: "paper".into(),
+        base_position_m: [0.0; 3],
+        base_quaternion: [FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2, 0.0],
+        gravity_mps2: [0.0; 3],
+        damping_mass_1ps: 0.0,
+        chord: ChordRule::Simpson,
+        strain: StrainRule::VectorPart,
+        routing: Routing::Local,
+        rho_inf: 0.8,
+        tension_n_min: 0.0,
+        tension_n_max: 220.0,
+        tension_rate_npsmax: f64::INFINITY,
+        segments: (0..4).map(|s| segment(s == 3)).collect(),
+        payload: PayloadConfig::default(),
+    };
+    assert_eq!(ArmConfig::paper(), expected);
+}
+
+#[test]
+fn the_shipped_files_are_accepted_together() {
+    let config = Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap();
+    assert_eq!(config.drives.buses.len(), 1);
+    let nodes: Vec<u8> = config.drives.drives.iter().map(|drive| drive.node_id).collect();
+    assert_eq!(nodes, (1..=24).collect::<Vec<u8>>());
+    assert_eq!(config.planner.period_s, 0.01);
+    assert_eq!(config.ipc.arm, "paper");
+
+    let config = Config::parse(files(&["arm.toml", "controller.toml", "drives-4-buses.toml", "plant.toml"])).unwrap();
+    assert_eq!(config.drives.buses.len(), 4);
+    for (index, drive) in config.drives.drives.iter().enumerate() {
+        assert_eq!((drive.bus, usize::from(drive.node_id)), (index / 6, index % 6 + 1));
+        assert_eq!((drive.segment, drive.cable), (index / 6 + 1, index % 6 + 1));
+    }
+    let summary: Vec<_> = config.summary().into_iter().map(|line| format!("{}: {}", line.label, line.value)).collect();
+    assert!(
+        summary.iter().any(|line| line.starts_with("bus bus3: SocketCAN vcan3, 1000 kbit/s, 6 drives, nodes 1 to 6"))
+    );
+    assert!(summary.iter().any(|line| line.contains("10 ms (100 Hz)")), "{summary:?}");
+}
+
+#[test]
+fn files_from_disk_are_named_by_their_paths() {
+    let directory = tempfile::tempdir().unwrap();
+    let arm = directory.path().join("my-arm.toml");
+    std::fs::write(&arm, shipped("arm.toml").replace("rho", "rhu").replace("cables = 6", "cables = 2")).unwrap();
+    let drives = directory.path().join("drives.toml");
+    std::fs::write(&drives, shipped("drives.toml")).unwrap();
+    let place = format!("{}:{}:10", arm.display(), line_of("arm.toml", "cables = 6"));
+    expect(Config::load(&[arm, drives]), &[&place, "`arm.segment_defaults.cables` = 2", "integer 3 to 12"]);
+    let missing = directory.path().join("nowhere.toml");
+    expect(Config::load(&[missing]), &["cannot read", "nowhere.toml"]);
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_a_suggestion() {
+    refuse(
+        "arm.toml",
+        "disk_mass_kg",
+        "disc_mass_kg",
+        &["unknown key `arm.segment_defaults.disc_mass_kg`", "did you mean `disk_mass_kg`"],
+    );
+}
+
+#[test]
+fn an_unknown_table_is_refused_with_a_suggestion() {
+    refuse(
+        "controller.toml",
+        "[observer]",
+        "[obsever]",
+        &["unknown table or key `obsever`", "did you mean `observer`"],
+    );
+}
+
+#[test]
+fn a_negative_stiffness_is_refused() {
+    refuse(
+        "arm.toml",
+        "bending_stiffness_nm2 = 7.0",
+        "bending_stiffness_nm2 = -7.0",
+        &["bending_stiffness_nm2` = -7.0 is outside its range", "> 0 and <= 1e6 N m^2"],
+    );
+}
+
+#[test]
+fn a_segment_count_of_zero_is_refused() {
+    refuse(
+        "arm.toml",
+        "segment_count = 4",
+        "segment_count = 0",
+        &["`arm.segment_count` = 0 is outside its range", "integer 1 to 8"],
+    );
+}
+
+#[test]
+fn an_arm_without_segments_is_refused() {
+    expect(changed("arm.toml", "segment_count = 4", ""), &["arm.toml:6:", "the arm has no segments", "1 to 8"]);
+}
+
+#[test]
+fn nan_is_refused() {
+    refuse(
+        "arm.toml",
+        "length_m = 0.65",
+        "length_m = nan",
+        &["length_m` = nan is outside its range", "> 0 and <= 10 m"],
+    );
+}
+
+#[test]
+fn infinity_is_refused() {
+    refuse(
+        "arm.toml",
+        "tension_n_max = 220.0",
+        "tension_n_max = inf",
+        &["`arm.tension_n_max` = inf is outside its range", "1e5 N"],
+    );
+}
+
+#[test]
+fn a_value_of_the_wrong_type_is_refused() {
+    refuse(
+        "arm.toml",
+        "elements = 5",
+        "elements = 5.0",
+        &["elements` = 5.0 is of the wrong type", "found float", "integer 1 to 50"],
+    );
+    refuse(
+        "controller.toml",
+        "barrier = true",
+        "barrier = \"yes\"",
+        &["`planner.barrier` = \"yes\"", "found string", "true, false"],
+    );
+}
+
+#[test]
+fn a_name_that_is_no_choice_is_refused() {
+    refuse(
+        "controller.toml",
+        "kind = \"passive\"",
+        "kind = \"pasive\"",
+        &["`observer.kind` = \"pasive\"", "did you mean `passive`", "kalman"],
+    );
+}
+
+#[test]
+fn a_vector_of_the_wrong_length_is_refused() {
+    refuse(
+        "arm.toml",
+        "tension_n_max = 220.0",
+        "gravity_mps2 = [0.0, -9.81]\ntension_n_max = 220.0",
+        &["`arm.gravity_mps2` = [0.0, -9.81] has 2 entries, not 3", "3 numbers"],
+    );
+}
+
+#[test]
+fn a_number_inside_a_vector_is_pointed_at() {
+    refuse(
+        "arm.toml",
+        "tension_n_max = 220.0",
+        "gravity_mps2 = [0.0, nan, 0.0]\ntension_n_max = 220.0",
+        &["`arm.gravity_mps2[1]` = nan", ":22"],
+    );
+}
+
+#[test]
+fn a_quaternion_that_is_not_of_norm_1_is_refused() {
+    refuse(
+        "arm.toml",
+        "tension_n_max = 220.0",
+        "base_quaternion = [1.0, 0.0, 0.1, 0.0]\ntension_n_max = 220.0",
+        &["`arm.base_quaternion` = [1.0, 0.0, 0.1, 0.0] is outside", "norm 1"],
+    );
+}
+
+#[test]
+fn a_missing_key_is_named_at_its_table() {
+    let place = format!("arm.toml:{}:", line_of("arm.toml", "segment_defaults"));
+    expect(
+        changed("arm.toml", "length_m = 0.65\n", ""),
+        &[&place, "`arm.segment_defaults.length_m` is missing", "> 0 and <= 10 m"],
+    );
+}
+
+#[test]
+fn text_that_is_not_toml_is_refused_at_its_line() {
+    refuse("arm.toml", "tension_n_max = 220.0", "tension_n_max = = 220.0", &["not TOML"]);
+}
+
+#[test]
+fn a_key_given_twice_is_refused() {
+    expect(
+        changed("arm.toml", "tension_n_max = 220.0", "tension_n_max = 1.0\ntension_n_max = 220.0"),
+        &["arm.toml:9:1", "duplicate key"],
+    );
+}
+
+#[test]
+fn a_table_in_two_files_is_refused_naming_both() {
+    let mut texts = files(&["arm.toml", "drives.toml"]);
+    texts.push(("second.toml".into(), "\n[arm]\nname = \"x\"\n".into()));
+    let place = format!("arm.toml:{}:2", line_of("arm.toml", "[arm]"));
+    expect(Config::parse(texts), &["second.toml:2:2", "[arm] stands in", &place, "again in second.toml"]);
+}
+
+#[test]
+fn a_missing_table_is_named_with_the_files() {
+    expect(Config::parse(files(&["arm.toml", "controller.toml"])), &["no table [drives] in arm.toml, controller.toml"]);
+    expect(Config::parse(files(&["drives.toml"])), &["no table [arm] in drives.toml"]);
+    expect(Config::parse(Vec::new()), &["no table [arm] in no file"]);
+}
+
+#[test]
+fn several_problems_of_a_file_are_reported_at_once() {
+    let mut texts = files(&["arm.toml", "drives.toml"]);
+    texts[0].1 = texts[0].1.replace("elements = 5", "elements = 0").replace("length_m = 0.65", "length_m = -1");
+    texts[1].1 = texts[1].1.replace("gear_ratio = 10.0", "gear_ratio = 0");
+    let error = Config::parse(texts).unwrap_err();
+    let lines: Vec<_> = error.lines().collect();
+    assert_eq!(lines.len(), 3, "{lines:#?}");
+    assert!(error.to_string().contains("3 problems in arm.toml, drives.toml"));
+}
+
+#[test]
+fn holes_outside_the_disk_are_refused() {
+    refuse(
+        "arm.toml",
+        "hole_radius_m = 0.05",
+        "hole_radius_m = 0.06",
+        &["hole_radius_m` = 0.06", "outside the disk", "<= 0.055 m"],
+    );
+}
+
+#[test]
+fn a_connector_behind_the_last_segment_is_refused() {
+    let text = "[[arm.segments]]\n[[arm.segments]]\nconnector_length_m = 0.02\n[arm.segment_defaults]";
+    let arm = shipped("arm.toml").replace("segment_count = 4\n", "").replace("[arm.segment_defaults]", text);
+    expect(
+        ArmConfig::parse("arm.toml", &arm),
+        &["`arm.segments[1].connector_length_m` = 0.02", "permitted at the last segment: 0"],
+    );
+}
+
+#[test]
+fn segments_override_their_defaults() {
+    let text = "[[arm.segments]]\nelements = 3\n[[arm.segments]]\nhole_angles_deg = [0, 90, 180]\nhole_offset_deg = 10\n[arm.segment_defaults]";
+    let arm = shipped("arm.toml").replace("segment_count = 4\n", "").replace("[arm.segment_defaults]", text);
+    let arm = ArmConfig::parse("arm.toml", &arm).unwrap();
+    assert_eq!((arm.segments[0].elements, arm.segments[1].elements), (3, 5));
+    assert_eq!((arm.segments[0].connector_length_m, arm.segments[1].connector_length_m), (0.05, 0.0));
+    let expected: Vec<f64> = [10.0, 100.0, 190.0].iter().map(|angle: &f64| angle.to_radians()).collect();
+    assert_eq!(arm.segments[1].hole_angles_rad, expected);
+    assert_eq!(arm.cable_count(), 9);
+}
+
+#[test]
+fn a_count_that_contradicts_the_list_is_refused() {
+    refuse(
+        "arm.toml",
+        "segment_count = 4",
+        "segment_count = 4\nsegments = [{ elements = 3 }]",
+        &["`arm.segment_count` = 4", "there are 1 [[arm.segments]]"],
+    );
+}
+
+#[test]
+fn two_cables_on_one_node_id_are_refused() {
+    let text = shipped("drives.toml") + "\n[[drives.overrides]]\nsegment = 3\ncable = 2\nnode_id = 5\n";
+    let line = text.lines().count();
+    let texts = vec![("arm.toml".into(), shipped("arm.toml")), ("drives.toml".into(), text)];
+    let place = format!("drives.toml:{line}:");
+    expect(
+        Config::parse(texts),
+        &[&place, "`drives.overrides[0].node_id` = 5", "node id 5 of bus `bus0`", "cable 1,5", "cable 3,2", "1 to 127"],
+    );
+}
+
+#[test]
+fn a_node_id_is_free_on_another_bus() {
+    let text = shipped("drives-4-buses.toml")
+        + "\n[[drives.overrides]]\nsegment = 3\ncable = 2\nbus = \"bus1\"\nnode_id = 7\nsign = \"-\"\n";
+    let config = Config::parse(vec![("arm.toml".into(), shipped("arm.toml")), ("drives.toml".into(), text)]).unwrap();
+    let drive = &config.drives.drives[13];
+    assert_eq!((drive.segment, drive.cable, drive.bus, drive.node_id, drive.sign), (3, 2, 1, 7, -1));
+    assert_eq!(config.drives.drives[12].sign, 1);
+}
+
+#[test]
+fn node_ids_beyond_canopens_are_refused() {
+    let error = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\nfirst_node_id = 110");
+    expect(error, &["would get node id 128", "1 to 127"]);
+}
+
+#[test]
+fn an_override_of_no_cable_is_refused() {
+    let text = shipped("drives.toml") + "\n[[drives.overrides]]\nsegment = 4\ncable = 7\n";
+    let texts = vec![("arm.toml".into(), shipped("arm.toml")), ("drives.toml".into(), text)];
+    expect(Config::parse(texts), &["`drives.overrides[0].cable` = 7", "the arm has no cable 4,7"]);
+}
+
+#[test]
+fn a_drive_too_weak_for_the_arm_is_refused() {
+    refuse(
+        "drives.toml",
+        "torque_nm_max = 0.35",
+        "torque_nm_max = 0.3",
+        &["torque_nm_max` = 0.3", "permitted: 0.3300 N m", "to 3.5 N m"],
+    );
+}
+
+#[test]
+fn two_buses_on_one_interface_are_refused() {
+    let text = shipped("drives-4-buses.toml").replace("vcan2", "vcan1");
+    let texts = vec![("arm.toml".into(), shipped("arm.toml")), ("drives.toml".into(), text)];
+    expect(Config::parse(texts), &["`drives.buses[2].interface` = \"vcan1\"", "different for every bus"]);
+}
+
+#[test]
+fn a_data_bit_rate_without_fd_does_not_apply() {
+    let result = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\ndata_bitrate_bps = 2000000");
+    expect(result, &["`drives.buses[0].data_bitrate_bps` = 2000000 does not apply here"]);
+}
+
+#[test]
+fn a_period_that_does_not_divide_the_lookahead_is_refused() {
+    let place = format!("controller.toml:{}:", line_of("controller.toml", "lookahead_s"));
+    expect(
+        changed("controller.toml", "period_s = 0.01", "period_s = 0.03"),
+        &[&place, "lookahead 0.1 s is no whole multiple of the period 0.03 s"],
+    );
+    expect(
+        changed("controller.toml", "period_s = 0.01", "period_s = 0.2"),
+        &["`loop.period_s` = 0.2", "0.001 to 0.1 s"],
+    );
+}
+
+#[test]
+fn weights_must_fit_the_segments() {
+    refuse(
+        "controller.toml",
+        "tension_change = [1e4, 2e4, 3e4, 4e4]",
+        "tension_change = [1e4, 2e4, 3e4]",
+        &["`weights.tip.tension_change` = [1e4, 2e4, 3e4]", "exactly 4 numbers, one per segment"],
+    );
+}
+
+#[test]
+fn a_barrier_key_without_a_barrier_does_not_apply() {
+    let place = format!("controller.toml:{}:1", line_of("controller.toml", "barrier_gamma"));
+    expect(
+        changed("controller.toml", "barrier = true", "barrier = false"),
+        &[&place, "`planner.barrier_gamma` = 0.3 does not apply here"],
+    );
+}
+
+#[test]
+fn times_that_contradict_each_other_are_refused() {
+    refuse(
+        "controller.toml",
+        "hold_after_s = 1.0",
+        "hold_after_s = 0.1",
+        &["`obstacles.hold_after_s` = 0.1", "0.2 s (`stale_after_s`)"],
+    );
+    refuse("drives.toml", "heartbeat_timeout_s = 0.15", "heartbeat_timeout_s = 0.06", &["0.1 s (two heartbeats)"]);
+    refuse("drives.toml", "sync_timeout_s = 0.1", "sync_timeout_s = 0.015", &["0.02 s (two periods of the loop)"]);
+    refuse(
+        "controller.toml",
+        "encoder_silent_s = 0.05",
+        "encoder_silent_s = 0.01",
+        &["0.02 s (two periods of the loop)"],
+    );
+    let late = changed("controller.toml", "lookahead_s = 0.1", "lookahead_s = 0.1\nbudget_s = 0.01");
+    expect(late, &["`planner.budget_s` = 0.01", "more than the period leaves", "<= 0.0098 s"]);
+}
+
+/// Writes every default of a table and of those below it out, except for keys that need another choice.
+fn written_out(spec: &TableSpec, text: &mut String) {
+    let _ = writeln!(text, "{}", spec.header);
+    for key in spec.keys {
+        if let Presence::Default(value) = key.presence {
+            let _ = writeln!(text, "{} = {value}", key.name);
+        }
+    }
+    for key in spec.keys {
+        if let Kind::Table(below) = key.kind {
+            written_out(below, text);
+        }
+    }
+}
+
+#[test]
+fn every_default_may_be_written_out_and_changes_nothing() {
+    let bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
+    for spec in TABLES.iter().filter(|spec| !["arm", "drives"].contains(&spec.name)) {
+        let mut text = String::new();
+        written_out(spec, &mut text);
+        let mut texts = files(&["arm.toml", "drives.toml"]);
+        texts.push((format!("{}.toml", spec.name), text));
+        assert_eq!(Config::parse(texts).map_err(|error| error.report()).unwrap(), bare, "{}", spec.header);
+    }
+}
+
+#[test]
+fn the_controllers_file_states_the_defaults() {
+    let mut bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
+    assert_eq!(bare.planner.body_radius_m, 0.055, "the body's default radius is the disks'");
+    // The one deliberate difference.
+    bare.planner.body_radius_m = 0.0;
+    assert_eq!(bare, Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap());
+}
+
+#[test]
+fn every_configuration_can_be_written_as_json() {
+    let config = Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap();
+    assert!(serde_json::to_string(&config).unwrap().contains("\"node_id\":24"));
+    for (name, _) in SCENARIOS {
+        assert!(serde_json::to_string(&ScenarioConfig::find(name).unwrap()).is_ok(), "{name}");
+    }
+}
+
+fn scenario(name: &str) -> ScenarioConfig {
+    ScenarioConfig::find(name).map_err(|error| error.report()).unwrap()
+}
+
+#[test]
+fn the_tip_scenario_is_the_papers() {
+    let tip = scenario("tip");
+    assert_eq!((tip.duration_s, tip.planner.period_s, tip.planner.lookahead_s), (100.0, 0.1, 0.1));
+    assert_eq!(tip.weight_tension_change, [1e4, 2e4, 3e4, 4e4]);
+    assert_eq!(tip.planner.swarm.penalty, 1e12);
+    assert_eq!(tip.planner.warning_distance_m, 0.01);
+    assert_eq!(tip.planner.lead_s, Some(0.0), "the paper has no lead");
+    assert!(tip.planner.barrier.is_none() && tip.planner.avoidance && tip.planner.clearance_m == 0.0);
+    let Task::Tip {
+        path: TipPath::Lemniscate { scale_m, height_m, duration_s, .. },
+        weight_pose,
+        weight_rate,
+        weight_damping,
+    } = &tip.task
+    else {
+        panic!("{:?}", tip.task)
+    };
+    assert_eq!((*scale_m, *height_m, *duration_s), (0.6, -2.4, 100.0));
+    assert_eq!((*weight_pose, *weight_rate, *weight_damping), (5e12, 5e10, 1e8));
+    assert!(matches!(&tip.start, Start::TipPose { guess_curvatures_1pm } if guess_curvatures_1pm.len() == 8));
+    assert_eq!(tip.obstacles[0].motion, Motion::Linear { position_m: [0.45, 0.15, -1.20], velocity_mps: [0.0; 3] });
+    let Motion::Circle { rate_radps, acceleration_radps2, .. } = tip.obstacles[1].motion else { panic!() };
+    assert!((rate_radps - 7.0 * PI / 600.0).abs() < 1e-16 && (acceleration_radps2 - PI / 6000.0).abs() < 1e-18);
+    assert!(!scenario("tip-no-avoidance").planner.avoidance);
+}
+
+#[test]
+fn the_shape_scenario_is_the_papers() {
+    let shape = scenario("shape");
+    let curvatures = vec![0.806, 0.806, -2.417, 0.0, -1.611, -2.417, -1.611, -2.417];
+    let task = Task::Shape { curvatures_1pm: curvatures, weight_end: 1e10, weight_slope: 9.99e5, end_s: 100.0 };
+    assert_eq!(shape.task, task);
+    assert_eq!((shape.weight_tension, shape.planner.swarm.penalty), (1.0, 1e16));
+    assert_eq!(shape.weight_tension_change, [2e6; 4]);
+    assert_eq!(shape.obstacles[1].motion.position_at(40.0), [0.25, 0.50, -1.60]);
+    assert!(shape.obstacles.iter().all(|obstacle| obstacle.shape == ShapeConfig::Ball { radius_m: 0.1 }));
+    assert!(!scenario("shape-no-avoidance").planner.avoidance);
+}
+
+#[test]
+fn the_sweeps_are_figures_4_and_16() {
+    let penalties: Vec<_> = scenario("penalty-sweep").sweep.iter().map(|run| run.penalty.unwrap()).collect();
+    assert_eq!(penalties, [1e8, 1e9, 1e10, 1e11, 1e12]);
+    assert_eq!(scenario("penalty-sweep").planner.warning, WarningBranch::Swarm);
+    let comparison = scenario("swarm-comparison");
+    assert_eq!((comparison.planner.newton_iterations_max, comparison.planner.swarm.sweeps_max), (30, 60));
+    let runs: Vec<_> = comparison.sweep.iter().map(|run| (run.warning.unwrap(), run.particles.unwrap())).collect();
+    let (improved, standard) = (WarningBranch::Swarm, WarningBranch::StandardSwarm);
+    assert_eq!(runs, [(improved, 20), (improved, 40), (improved, 60), (standard, 20), (standard, 40), (standard, 60)]);
+    assert!(comparison.sweep.iter().all(|run| run.window_s == Some([13.7, 14.6])));
+}
+
+#[test]
+fn a_scenario_that_does_not_exist_is_refused_with_the_names() {
+    expect(ScenarioConfig::find("tipp"), &["no scenario `tipp`", "built-in scenarios: tip, tip-no-avoidance"]);
+}
+
+#[test]
+fn a_path_wins_over_a_built_in_name_and_its_arm_is_found_beside_it() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("arm.toml"), shipped("arm.toml").replace("\"paper\"", "\"mine\"")).unwrap();
+    let text = SCENARIOS[0].1.replace("name = \"tip\"", "name = \"tip\"\narm = \"arm.toml\"");
+    let path: PathBuf = directory.path().join("tip");
+    std::fs::write(&path, &text).unwrap();
+    let found = ScenarioConfig::find(path.to_str().unwrap()).map_err(|error| error.report()).unwrap();
+    assert_eq!(found.arm.name, "mine");
+    std::fs::write(directory.path().join("arm.toml"), "[arm]\nname = \"x\"\ntension_n_max = -1\nsegment_count = 1\n")
+        .unwrap();
+    expect(ScenarioConfig::load(&path), &["arm.toml:3:17", "`arm.tension_n_max` = -1"]);
+}
+
+/// The tip or shape scenario with one text replaced: refused, with these words.
+fn refuse_scenario(name: &str, from: &str, to: &str, parts: &[&str]) {
+    let text = SCENARIOS.iter().find(|(scenario, _)| *scenario == name).unwrap().1;
+    assert!(text.contains(from), "{from}");
+    let line = text[..text.find(from).unwrap()].matches('\n').count() + 1;
+    let place = format!("mine.toml:{line}:");
+    let mut all = vec![place.as_str()];
+    all.extend_from_slice(parts);
+    expect(ScenarioConfig::parse("mine.toml", &text.replacen(from, to, 1)), &all);
+}
+
+#[test]
+fn a_scenarios_mistakes_are_refused() {
+    refuse_scenario("tip", "seed = 1", "sed = 1", &["unknown key `sed`", "did you mean `seed`"]);
+    refuse_scenario(
+        "tip",
+        "radius_m = 0.1",
+        "radius_m = -0.1",
+        &["`obstacles[0].radius_m` = -0.1", "> 0 and <= 1000 m"],
+    );
+    refuse_scenario("tip", "id = \"2\"", "id = \"1\"", &["`obstacles[1].id` = \"1\"", "different for every obstacle"]);
+    refuse_scenario(
+        "tip",
+        "weight_tension_change = [1e4, ",
+        "weight_tension_change = [",
+        &["exactly 4 numbers, one per segment"],
+    );
+    refuse_scenario(
+        "tip",
+        "guess_curvatures_1pm = [",
+        "guess_curvatures_1pm = [1.0, 1.0, ",
+        &["exactly 8 numbers, two per segment"],
+    );
+    refuse_scenario(
+        "shape",
+        "curvatures_1pm = [0.806, ",
+        "curvatures_1pm = [",
+        &["`task.curvatures_1pm`", "exactly 8 numbers"],
+    );
+    refuse_scenario("shape", "weight_slope = 9.99e5", "weight_slope = 2e6", &["`task.weight_slope` = 2e6", "0 to 1e6"]);
+    refuse_scenario(
+        "shape",
+        "end_s = 100.0",
+        "weight_pose = 1.0\nend_s = 100.0",
+        &["`task.weight_pose` = 1.0 does not apply here"],
+    );
+    refuse_scenario(
+        "swarm-comparison",
+        "window_s = [13.7, 14.6]",
+        "window_s = [14.6, 13.7]",
+        &["`sweep[0].window_s`", "from < to"],
+    );
+}
+
+#[test]
+fn a_key_of_another_shape_does_not_apply() {
+    let text = SCENARIOS[0].1.replacen("position_m = [0.45", "half_extents_m = [1, 1, 1]\nposition_m = [0.45", 1);
+    expect(
+        ScenarioConfig::parse("mine.toml", &text),
+        &["`obstacles[0].half_extents_m` = [1, 1, 1] does not apply here"],
+    );
+}
+
+#[test]
+fn every_shape_and_motion_can_be_written() {
+    let text = r#"
+name = "all"
+duration_s = 10.0
+weight_tension_change = [1, 1, 1, 1]
+
+[task]
+mode = "tip"
+[task.path]
+kind = "waypoints"
+waypoints = [
+    { time_s = 0, position_m = [0, 0, -2.5], quaternion = [1, 0, 0, 0] },
+    { time_s = 5, position_m = [0.1, 0, -2.5], quaternion = [1, 0, 0, 0] },
+]
+
+[start]
+kind = "straight"
+
+[[obstacles]]
+id = "capsule"
+shape = "capsule"
+half_length_m = 0.3
+radius_m = 0.05
+motion = "waypoints"
+waypoints = [{ time_s = 0, position_m = [1, 0, 0] }, { time_s = 4, position_m = [0, 0, 0] }]
+
+[[obstacles]]
+id = "box"
+shape = "box"
+half_extents_m = [0.1, 0.2, 0.3]
+position_m = [1, 1, 1]
+
+[[obstacles]]
+id = "floor"
+shape = "half_space"
+position_m = [0, 0, -3]
+
+[[obstacles]]
+id = "hull"
+shape = "hull"
+points_m = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+position_m = [2, 0, 0]
+"#;
+    let scenario = ScenarioConfig::parse("all.toml", text).map_err(|error| error.report()).unwrap();
+    assert_eq!(scenario.obstacles[0].motion.position_at(1.0), [0.75, 0.0, 0.0]);
+    assert_eq!(scenario.obstacles[2].shape, ShapeConfig::HalfSpace);
+    assert_eq!(scenario.planner.swarm.penalty, 1e12);
+
+    let flat = text.replace("[0, 0, 1]]", "[1, 1, 0]]");
+    expect(
+        ScenarioConfig::parse("all.toml", &flat),
+        &["all.toml:40:", "`obstacles[3].points_m`", "all points lie in one plane"],
+    );
+    let falling = text.replace("time_s = 5", "time_s = 0");
+    expect(
+        ScenarioConfig::parse("all.toml", &falling),
+        &["all.toml:12:", "`task.path.waypoints[1].time_s` = 0", "permitted: > 0 s"],
+    );
+}
+
+#[test]
+fn a_tip_scenario_cannot_start_under_tensions_outside_the_box() {
+    let from = SCENARIOS[0].1.find("kind = \"tip_pose\"").unwrap();
+    let end = from + SCENARIOS[0].1[from..].find("\n\n").unwrap();
+    let mut text = SCENARIOS[0].1.to_owned();
+    text.replace_range(from..end, &format!("kind = \"tensions\"\ntensions_n = [{}230]", "0, ".repeat(23)));
+    expect(ScenarioConfig::parse("mine.toml", &text), &["`start.tensions_n`", "0 to 220 N each"]);
+}
+
+/// What hands and editors do to a file: a piece cut out, or replaced by something else.
+fn spoiled(text: &str, from: f64, length: usize, put: &str) -> String {
+    let characters: Vec<char> = text.chars().collect();
+    let start = ((characters.len() as f64 * from) as usize).min(characters.len());
+    let end = (start + length).min(characters.len());
+    characters[..start].iter().copied().chain(put.chars()).chain(characters[end..].iter().copied()).collect()
+}
+
+proptest::proptest! {
+    #[test]
+    fn a_spoiled_file_is_read_or_refused_with_places_inside_it(
+        file in 0..4usize,
+        from in 0.0..1.0f64,
+        length in 0..40usize,
+        put in "(|-|nan|1e999|0x7fffffffffffffffffff|\\[\\[|\\]|\"|[ -~]{0,8}|\\PC{0,4})",
+    ) {
+        let mut texts = files(&["arm.toml", "controller.toml", "drives-4-buses.toml"]);
+        let scenario = file == 3;
+        let text = if scenario { SCENARIOS[0].1 } else { texts[file].1.as_str() };
+        let text = spoiled(text, from, length, &put);
+        let error = if scenario {
+            ScenarioConfig::parse("spoiled.toml", &text).err()
+        } else {
+            texts[file].1 = text;
+            Config::parse(texts).err()
+        };
+        if let Some(error) = error {
+            proptest::prop_assert!(!error.problems.is_empty());
+            proptest::prop_assert!(!error.report().is_empty());
+            for place in error.problems.iter().filter_map(|problem| problem.place.as_ref()) {
+                proptest::prop_assert!(place.span.end <= place.file.inner().len());
+            }
+        }
+    }
+}
