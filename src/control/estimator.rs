@@ -1,5 +1,6 @@
-//! What the cycle needs of an observer; the real one is `sinew::estimator`, tests use the model itself.
+//! What the cycle needs of an observer; the real one is [`crate::estimator::Observer`], tests use the model itself.
 
+use crate::estimator::Observer;
 use crate::model::State;
 
 /// What an update found.
@@ -62,5 +63,46 @@ pub trait Estimator {
     /// Disturbance as moments beta (N m), (y, z) segment by segment, for the record; may be empty.
     fn disturbance_nm(&self) -> &[f64] {
         &[]
+    }
+}
+
+/// The real one. [`Observer::start`] still allocates a few short vectors, once per arming.
+impl Estimator for Observer {
+    fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure> {
+        Self::start(self, lengths_m, &[], tensions_n).map_err(|_| EstimatorFailure::NoStart)
+    }
+
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure> {
+        let update = Self::update(self, sent_n, lengths_m, measured);
+        if update.failed {
+            return Err(EstimatorFailure::Step);
+        }
+        Ok(Estimate {
+            innovation_max_rad: update.innovation_max,
+            innovation_growth_rad: update.innovation_growth,
+            beyond_bound: update.beyond_bound,
+            growing: update.growing,
+            settled: update.settled,
+        })
+    }
+
+    fn state(&self) -> &State {
+        Self::state(self)
+    }
+
+    fn predicted(&self) -> &State {
+        Self::predicted(self)
+    }
+
+    fn disturbance_n(&self) -> &[f64] {
+        Self::disturbance(self)
+    }
+
+    fn innovation_rad(&self) -> &[f64] {
+        Self::innovation(self)
+    }
+
+    fn disturbance_nm(&self) -> &[f64] {
+        Self::disturbance_moments(self)
     }
 }
