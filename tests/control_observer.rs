@@ -1,4 +1,5 @@
 //! The cycle with the real observer and the real planner around an arm that is only seen through its encoders.
+#![allow(clippy::unwrap_used)] // helpers of tests
 #[path = "support/control.rs"]
 mod rig;
 
