@@ -162,15 +162,17 @@ fn a_sticking_encoder_is_a_fault_once_its_cable_moves() {
 }
 
 #[test]
-fn an_innovation_beyond_its_bound_is_a_fault() {
+fn an_innovation_beyond_its_bound_or_growing_or_lost_is_a_fault() {
     let settings = pretensioned();
-    let mirror = Mirror::new(&settings.arm).claims(0.31);
-    let cycle = Cycle::with_planners(&settings, mirror, told(), told());
-    let mut rig = Rig::around(cycle, &settings.arm, 1);
-    rig.arm();
-    rig.step(None);
-    assert_eq!(rig.fault(), Some(Fault::InnovationBound { innovation_rad: 0.31 }));
-    assert!(!rig.cycle.record_mut().observing, "an estimate that cannot be believed is not continued");
+    for (innovation_rad, code) in [(0.31, 30), (-0.01, 31), (f64::NAN, 34)] {
+        let mirror = Mirror::new(&settings.arm).claims(innovation_rad);
+        let cycle = Cycle::with_planners(&settings, mirror, told(), told());
+        let mut rig = Rig::around(cycle, &settings.arm, 1);
+        rig.arm();
+        rig.step(None);
+        assert_eq!(rig.fault().map(|fault| fault.code()), Some(code));
+        assert!(!rig.cycle.record_mut().observing, "an estimate that cannot be believed is not continued");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A rig around the controller: an estimator that is the model itself, planners that do as they are told, and the
 //! world of inputs of a tick.
 #![allow(dead_code)] // each test binary uses its own part
+#![allow(clippy::unwrap_used)] // a rig that cannot be built fails its test
 
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -154,13 +155,15 @@ impl Estimator for Mirror {
         Ok(())
     }
 
-    fn update(&mut self, applied_n: &[f64], _lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure> {
+    fn update(&mut self, sent_n: &[f64], _: &[f64], _: &[bool]) -> Result<Estimate, EstimatorFailure> {
         self.stepper
-            .step(&self.arm, &self.scheme, PERIOD_S, &self.state, applied_n, 4, &mut self.next)
+            .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
             .map_err(|_| EstimatorFailure::Step)?;
         std::mem::swap(&mut self.state, &mut self.next);
         self.updates += 1;
-        Ok(Estimate { innovation_max_rad: self.innovation_rad, settled: self.updates >= self.settle_after })
+        let z = self.innovation_rad;
+        let settled = self.updates >= self.settle_after;
+        Ok(Estimate { innovation_max_rad: z, beyond_bound: z > 0.3, growing: z < 0.0, settled, ..Estimate::default() })
     }
 
     fn state(&self) -> &State {

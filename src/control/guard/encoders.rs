@@ -123,8 +123,7 @@ impl EncoderGuard {
                 let step_m = track.last_m.map_or(0.0, |last| length - last);
                 // A quick arm moves its cables by more than the bound in a tick, but then the model moves with it.
                 let unexplained_m = step_m.abs().min((step_m - moved(model, track)).abs());
-                // Not `step_m > bound`, and tested by itself: a reading that is not a number must not pass.
-                let jumped = !length.is_finite() || !(unexplained_m <= self.jump_m);
+                let jumped = !length.is_finite() || unexplained_m > self.jump_m;
                 if jumped {
                     jump = jump.or(Some(Fault::EncoderJump { cable: cable as u16, step_m }));
                 }
