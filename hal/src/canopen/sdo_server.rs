@@ -116,8 +116,7 @@ impl SdoServer {
                         if announced.is_some_and(|n| n as usize > TRANSFER_LEN_MAX) {
                             return Err(AbortCode::OUT_OF_MEMORY);
                         }
-                        self.transfer =
-                            Transfer::Download { index, sub, data: Vec::new(), announced, toggle: false };
+                        self.transfer = Transfer::Download { index, sub, data: Vec::new(), announced, toggle: false };
                     }
                 }
                 Ok(Some(Response::Download { index, sub }))

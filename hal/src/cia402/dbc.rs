@@ -31,7 +31,11 @@ pub fn dbc(nodes: &[NodeId]) -> String {
     }
     t.push_str("\nCM_ BO_ 128 \"Latches the target torques and samples the feedback.\";\n");
     for n in nodes {
-        let _ = writeln!(t, "VAL_ {} NmtState_{n} 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 \"pre-operational\" ;", n.cob(HEARTBEAT));
+        let _ = writeln!(
+            t,
+            "VAL_ {} NmtState_{n} 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 \"pre-operational\" ;",
+            n.cob(HEARTBEAT)
+        );
     }
     t
 }

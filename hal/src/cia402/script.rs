@@ -47,8 +47,10 @@ pub enum Step {
 pub fn script(config: &MasterConfig, drive: &DriveSetup) -> Vec<Step> {
     let mut steps = Vec::with_capacity(48);
     let check = |index, sub, len, expected, mask| Step::Check { index, sub, len, expected, mask, tries: 1 };
-    let write = |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: false };
-    let optional = |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: true };
+    let write =
+        |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: false };
+    let optional =
+        |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: true };
 
     steps.push(check(o::DEVICE_TYPE, 0, 4, 402, 0xffff));
     let id = drive.identity;

@@ -114,16 +114,16 @@ impl State {
             (Self::SwitchOnDisabled, C::Shutdown) => Self::ReadyToSwitchOn, // 2
             (Self::ReadyToSwitchOn, C::SwitchOn) => Self::SwitchedOn,       // 3
             (Self::ReadyToSwitchOn, C::EnableOperation) => Self::OperationEnabled, // 3 and 4, as the standard's note has it
-            (Self::SwitchedOn, C::EnableOperation) => Self::OperationEnabled, // 4
-            (Self::OperationEnabled, C::SwitchOn) => Self::SwitchedOn,      // 5
-            (Self::SwitchedOn, C::Shutdown) => Self::ReadyToSwitchOn,       // 6
+            (Self::SwitchedOn, C::EnableOperation) => Self::OperationEnabled,      // 4
+            (Self::OperationEnabled, C::SwitchOn) => Self::SwitchedOn,             // 5
+            (Self::SwitchedOn, C::Shutdown) => Self::ReadyToSwitchOn,              // 6
             (Self::ReadyToSwitchOn, C::QuickStop | C::DisableVoltage) => Self::SwitchOnDisabled, // 7
-            (Self::OperationEnabled, C::Shutdown) => Self::ReadyToSwitchOn, // 8
+            (Self::OperationEnabled, C::Shutdown) => Self::ReadyToSwitchOn,        // 8
             (Self::OperationEnabled, C::DisableVoltage) => Self::SwitchOnDisabled, // 9
             (Self::SwitchedOn, C::QuickStop | C::DisableVoltage) => Self::SwitchOnDisabled, // 10
-            (Self::OperationEnabled, C::QuickStop) => Self::QuickStopActive, // 11
-            (Self::QuickStopActive, C::DisableVoltage) => Self::SwitchOnDisabled, // 12
-            (Self::Fault, C::FaultReset) => Self::SwitchOnDisabled,         // 15
+            (Self::OperationEnabled, C::QuickStop) => Self::QuickStopActive,       // 11
+            (Self::QuickStopActive, C::DisableVoltage) => Self::SwitchOnDisabled,  // 12
+            (Self::Fault, C::FaultReset) => Self::SwitchOnDisabled,                // 15
             (Self::QuickStopActive, C::EnableOperation) if quick_stop_holds => Self::OperationEnabled, // 16
             _ => return None,
         })

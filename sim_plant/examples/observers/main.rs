@@ -13,7 +13,9 @@ mod table;
 
 use clap::{Parser, ValueEnum};
 use closed_loop::{Case, Outcome, Settings};
-use sinew::config::{BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch};
+use sinew::config::{
+    BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch,
+};
 use sinew::integrator::Scheme;
 use std::sync::Mutex;
 
@@ -42,8 +44,6 @@ enum Warning {
 enum Kind {
     /// Spring and damper in cable space.
     Passive,
-    /// Reduced Kalman filter.
-    Kalman,
 }
 
 /// Closed-loop study of the observers.
@@ -92,13 +92,13 @@ struct Arguments {
     /// Lead (s); the lag that follows from the weights where absent.
     #[arg(long)]
     lead: Option<f64>,
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 2.0)]
     stiffness_ratio: f64,
     #[arg(long, default_value_t = 2.0)]
     damping: f64,
     #[arg(long, default_value_t = 0.3)]
     filter: f64,
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 0.4)]
     disturbance_time: f64,
     /// Largest rate of a tension (N/s).
     #[arg(long)]
@@ -125,7 +125,6 @@ impl Arguments {
         let observer = ObserverConfig {
             kind: match kind {
                 Kind::Passive => ObserverKind::Passive,
-                Kind::Kalman => ObserverKind::Kalman,
             },
             stiffness_ratio: self.stiffness_ratio,
             damping_s: self.damping,
@@ -156,8 +155,7 @@ impl Arguments {
             clearance_m: self.clearance,
             warning_distance_m: if self.gamma > 0.0 { self.activation } else { 0.01 },
             warning_hysteresis_m: 0.005,
-            barrier: (self.gamma > 0.0)
-                .then_some(BarrierConfig { gamma: self.gamma, activation_m: self.activation }),
+            barrier: (self.gamma > 0.0).then_some(BarrierConfig { gamma: self.gamma, activation_m: self.activation }),
             swarm: SwarmConfig {
                 particles_normal: 15,
                 particles_uniform: 5,

@@ -18,7 +18,8 @@ pub fn eds() -> String {
     let optional: Vec<_> =
         indices.iter().copied().filter(|i| !MANDATORY.contains(i) && !(0x2000..0x6000).contains(i)).collect();
     let own: Vec<_> = indices.iter().copied().filter(|i| (0x2000..0x6000).contains(i)).collect();
-    for (name, list) in [("MandatoryObjects", MANDATORY.to_vec()), ("OptionalObjects", optional), ("ManufacturerObjects", own)]
+    for (name, list) in
+        [("MandatoryObjects", MANDATORY.to_vec()), ("OptionalObjects", optional), ("ManufacturerObjects", own)]
     {
         let _ = writeln!(t, "[{name}]\nSupportedObjects={}", list.len());
         for (n, index) in list.iter().enumerate() {
@@ -59,7 +60,8 @@ fn object(t: &mut String, d: &ObjectDictionary, index: u16) {
         return;
     }
     let kind = if head.kind == Kind::Array { 8 } else { 9 };
-    let _ = writeln!(t, "[{index:04X}]\nParameterName={}\nObjectType=0x{kind:X}\nSubNumber={}\n", head.name, subs.len());
+    let _ =
+        writeln!(t, "[{index:04X}]\nParameterName={}\nObjectType=0x{kind:X}\nSubNumber={}\n", head.name, subs.len());
     for e in subs {
         let _ = writeln!(t, "[{index:04X}sub{:X}]", e.sub);
         value(t, e);
@@ -147,7 +149,11 @@ mod tests {
             let value = live.read(index, sub).unwrap();
             match d.data_type.len() {
                 Some(_) => {
-                    assert_eq!(d.data_type.decode(&value), Some(number(&section["defaultvalue"], NODE.into())), "{name}");
+                    assert_eq!(
+                        d.data_type.decode(&value),
+                        Some(number(&section["defaultvalue"], NODE.into())),
+                        "{name}"
+                    );
                 }
                 None => assert_eq!(value, section["defaultvalue"].as_bytes(), "{name}"),
             }

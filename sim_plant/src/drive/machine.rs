@@ -506,7 +506,8 @@ impl Drive {
                 let consumer = &mut self.consumers[usize::from(sub.clamp(1, CONSUMERS)) - 1];
                 let timeout_ns = (value & 0xffff).unsigned_abs() * 1_000_000;
                 let node = (value >> 16 & 0xff) as u8;
-                *consumer = Consumer { node, timeout_ns: if node == 0 { 0 } else { timeout_ns }, ..Consumer::default() };
+                *consumer =
+                    Consumer { node, timeout_ns: if node == 0 { 0 } else { timeout_ns }, ..Consumer::default() };
             }
             o::GUARD => {
                 if self.dictionary.int(o::GUARD, 1) == 0 {

@@ -1,7 +1,7 @@
 //! The object dictionary of the simulated drive as a table; `sim_plant/eds/sinew_drive.eds` says the same.
 
-use sinew_hal::cia402::objects as o;
 use sinew_hal::canopen::dictionary::{Access, DataType, Description, Kind, ObjectDictionary, Value};
+use sinew_hal::cia402::objects as o;
 
 use Access::{Const, Ro, Rw, Rww};
 use DataType::{I8, I16, I32, U8, U16, U32, VisibleString};
@@ -146,12 +146,7 @@ fn communication(t: &mut Table, nameplate: Nameplate) {
             (4, "Serial number", U32, Const, int(nameplate.serial)),
         ],
     );
-    t.group(
-        o::ERROR_BEHAVIOUR,
-        "Error behavior",
-        Kind::Array,
-        &[(1, "Communication error", U8, Rw, Value::Int(0))],
-    );
+    t.group(o::ERROR_BEHAVIOUR, "Error behavior", Kind::Array, &[(1, "Communication error", U8, Rw, Value::Int(0))]);
     t.group(
         0x1200,
         "SDO server parameter",
