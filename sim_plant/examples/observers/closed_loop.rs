@@ -107,9 +107,6 @@ impl Outcome {
     }
 }
 
-fn h0(c: &PlannerConfig) -> f64 {
-    c.period_s.min(0.005)
-}
 /// Runs one case with one seed.
 pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let half = Scenario::half_shape();
@@ -120,9 +117,6 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let mut observer_config = settings.observer.clone();
     let mut plant = TruthSettings::study(seed);
     plant.step_s = plant.step_s.min(planner_config.period_s);
-    if std::env::var_os("IDEAL").is_some() {
-        plant = TruthSettings::ideal(h0(&planner_config));
-    }
     match case {
         Case::Friction => plant.capstan_friction = 0.1,
         Case::Latency => {
@@ -203,16 +197,11 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         let target = if hold { 0.0 } else { begins + planner_config.lookahead_s + lead };
         scenario.move_obstacles(begins, &mut now);
         scenario.move_obstacles(begins + planner_config.lookahead_s, &mut ahead);
-        let mut from = observer.predicted().clone();
-        if std::env::var_os("ZERO_ACC").is_some() {
-            from.qdd.fill(0.0);
-            from.a.fill(0.0);
-        }
         let clock = Instant::now();
         // Half of (44) is held with the full weight: the ramp of (46) belongs to the paper's example.
         let report = planner.plan(
             &Inputs {
-                state: &from,
+                state: observer.predicted(),
                 u_previous: &u,
                 disturbance: observer.disturbance(),
                 goal: scenario.goal(if case == Case::Half { 100.0 } else { target }),
@@ -224,7 +213,8 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         );
         let spent = clock.elapsed();
         let estimate = observer.arm().pose(&observer.state().q, arm.node_count()).0;
-        outcome.estimate_error = outcome.estimate_error.max((truth.tip().position - estimate).norm());
+        let estimate_error = (truth.tip().position - estimate).norm();
+        outcome.estimate_error = outcome.estimate_error.max(estimate_error);
         let next = planner.tensions();
         let change: f64 = next.iter().zip(&u).map(|(a, b)| (a - b).powi(2)).sum();
         u.copy_from_slice(next);
@@ -271,7 +261,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
                     file,
                     "{time:.3},{error:.6},{along:.6},{:.6},{:.6},{:.6},{},{},{:.4},{:.4}",
                     report.distance_min,
-                    outcome.estimate_error,
+                    estimate_error,
                     update.innovation_max,
                     u8::from(report.branch == Branch::Warning),
                     u8::from(report.relaxed),
@@ -280,16 +270,6 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
                 )
                 .unwrap();
             }
-        }
-        if std::env::var_os("DBG").is_some() && k % 10 == 0 {
-            println!(
-                "{time:.2} err {error:.4} {:.5} rate {:.3} rough {:.3} u {:.1?} beta {:.2?}",
-                update.innovation_max,
-                update.rate_max,
-                change.sqrt(),
-                &u,
-                observer.disturbance_moments()
-            );
         }
         if !scenario.is_tip() {
             let wanted = scenario.curvatures();
