@@ -36,6 +36,8 @@ pub fn beam(elements: usize) -> ArmConfig {
     s.damping_stiffness_s = 0.0;
     s.disk_mass_kg = 0.0;
     s.backbone_mass_kgpm = DENSITY;
+    // Thin: the section's own rotary inertia is not in the beam formulas.
+    s.backbone_radius_m = 4e-4;
     s.connector_length_m = 0.0;
     s.connector_mass_kg = 0.0;
     s.hole_radius_m = HOLE;
