@@ -66,7 +66,7 @@ pub struct Pairs<'a> {
 pub enum Variant {
     /// Algorithm 1.
     Improved,
-    /// (29) alone, uniform start, without seeds among the particles but the incumbent kept as an answer.
+    /// (29) alone with a uniform start; the seeds are particles here too, so that the answer is never worse than they.
     Standard,
 }
 
