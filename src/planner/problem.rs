@@ -191,6 +191,11 @@ impl Quadratic {
         }
     }
 
+    /// False where the goal, the state or the tensions it was built from were not finite.
+    pub fn is_finite(&self) -> bool {
+        self.c.is_finite() && self.b.iter().chain(&self.a).all(|v| v.is_finite())
+    }
+
     /// `J(u)` on the affine map.
     pub fn cost(&self, u: &[f64]) -> f64 {
         let n = u.len();
