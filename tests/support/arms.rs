@@ -117,10 +117,10 @@ pub fn dense(blocks: &BlockTridiagonal) -> DMatrix<f64> {
     let n = blocks.len();
     let mut m = DMatrix::zeros(BLOCK * n, BLOCK * n);
     for i in 0..n {
-        m.view_mut((BLOCK * i, BLOCK * i), (BLOCK, BLOCK)).copy_from(&blocks.diagonal[i]);
+        m.view_mut((BLOCK * i, BLOCK * i), (BLOCK, BLOCK)).copy_from(&dense(&blocks.diagonal[i]));
         if i > 0 {
-            m.view_mut((BLOCK * i, BLOCK * (i - 1)), (BLOCK, BLOCK)).copy_from(&blocks.lower[i]);
-            m.view_mut((BLOCK * (i - 1), BLOCK * i), (BLOCK, BLOCK)).copy_from(&blocks.upper[i - 1]);
+            m.view_mut((BLOCK * i, BLOCK * (i - 1)), (BLOCK, BLOCK)).copy_from(&dense(&blocks.lower[i]));
+            m.view_mut((BLOCK * (i - 1), BLOCK * i), (BLOCK, BLOCK)).copy_from(&dense(&blocks.upper[i - 1]));
         }
     }
     m
@@ -197,4 +197,9 @@ pub fn orders(errors: &[f64]) -> Vec<f64> {
 /// Position of the last node.
 pub fn tip(arm: &Arm, state: &State) -> Vector3<f64> {
     arm.tip(&state.q, &state.qd).position
+}
+
+/// A block as a matrix.
+fn dense(block: &sinew::math::block_tridiagonal::Block) -> nalgebra::SMatrix<f64, BLOCK, BLOCK> {
+    nalgebra::SMatrix::from_fn(|r, c| block[(r, c)])
 }
