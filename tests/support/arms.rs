@@ -117,10 +117,10 @@ pub fn dense(blocks: &BlockTridiagonal) -> DMatrix<f64> {
     let n = blocks.len();
     let mut m = DMatrix::zeros(BLOCK * n, BLOCK * n);
     for i in 0..n {
-        m.view_mut((BLOCK * i, BLOCK * i), (BLOCK, BLOCK)).copy_from(&dense(&blocks.diagonal[i]));
+        m.view_mut((BLOCK * i, BLOCK * i), (BLOCK, BLOCK)).copy_from(&block(&blocks.diagonal[i]));
         if i > 0 {
-            m.view_mut((BLOCK * i, BLOCK * (i - 1)), (BLOCK, BLOCK)).copy_from(&dense(&blocks.lower[i]));
-            m.view_mut((BLOCK * (i - 1), BLOCK * i), (BLOCK, BLOCK)).copy_from(&dense(&blocks.upper[i - 1]));
+            m.view_mut((BLOCK * i, BLOCK * (i - 1)), (BLOCK, BLOCK)).copy_from(&block(&blocks.lower[i]));
+            m.view_mut((BLOCK * (i - 1), BLOCK * i), (BLOCK, BLOCK)).copy_from(&block(&blocks.upper[i - 1]));
         }
     }
     m
@@ -200,6 +200,6 @@ pub fn tip(arm: &Arm, state: &State) -> Vector3<f64> {
 }
 
 /// A block as a matrix.
-fn dense(block: &sinew::math::block_tridiagonal::Block) -> nalgebra::SMatrix<f64, BLOCK, BLOCK> {
-    nalgebra::SMatrix::from_fn(|r, c| block[(r, c)])
+fn block(b: &sinew::math::block_tridiagonal::Block) -> nalgebra::SMatrix<f64, BLOCK, BLOCK> {
+    nalgebra::SMatrix::from_fn(|r, c| b[(r, c)])
 }
