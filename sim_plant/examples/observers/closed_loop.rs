@@ -176,7 +176,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         times[0] += spent;
         outcome.observer_time[1] = outcome.observer_time[1].max(spent);
         outcome.innovation = outcome.innovation.max(update.innovation_max);
-        if update.failed || !(update.innovation_max < 1.0) {
+        if update.failed || update.innovation_max.is_nan() || update.innovation_max >= 1.0 {
             outcome.failed = Some(format!("observer failed at {time:.2} s, z {:.3}", update.innovation_max));
             break;
         }
