@@ -1,5 +1,6 @@
 //! Short closed-loop runs of the study: observer, planner and plant together.
 #![allow(dead_code)] // the study's modules, of which a test uses a part
+#![allow(clippy::unwrap_used, clippy::expect_used)] // a test stops where it cannot go on
 
 #[path = "../examples/observers/closed_loop.rs"]
 mod closed_loop;
