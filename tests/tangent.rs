@@ -219,3 +219,37 @@ fn constraint_rates_and_accelerations_are_time_derivatives_of_the_constraints() 
         }
     });
 }
+
+#[test]
+fn inertia_gyroscopic_and_elastic_forces_are_lagranges() {
+    // d/dt(dT/dq') - dT/dq and dE/dq from the energies alone: their power would not show a gyroscopic sign.
+    each_case(|what, arm, state, _, rates| {
+        if rates != Rates::STATIC {
+            return;
+        }
+        let n = state.q.len();
+        let (mut dynamic, mut elastic) = (vec![0.0; n], vec![0.0; n]);
+        arm.add_inertia(&state.q, &state.qdd, &mut dynamic);
+        arm.add_gyroscopic(&state.q, &state.qd, &mut dynamic);
+        arm.add_elastic(&state.q, &mut elastic);
+        let along = |x: &[f64], v: &[f64], t: f64| x.iter().zip(v).map(|(x, v)| x + t * v).collect::<Vec<_>>();
+        let bump = |x: &[f64], k: usize, h: f64| {
+            let mut x = x.to_vec();
+            x[k] += h;
+            x
+        };
+        let h = 1e-4;
+        for k in 0..n {
+            // T is quadratic in the rates, so this difference is exact.
+            let momentum = |t: f64| {
+                let (q, qd) = (along(&state.q, &state.qd, t), along(&state.qd, &state.qdd, t));
+                (arm.kinetic_energy(&q, &bump(&qd, k, 1.0)) - arm.kinetic_energy(&q, &bump(&qd, k, -1.0))) / 2.0
+            };
+            let of_q = |f: &dyn Fn(&[f64]) -> f64| (f(&bump(&state.q, k, h)) - f(&bump(&state.q, k, -h))) / (2.0 * h);
+            let want = (momentum(h) - momentum(-h)) / (2.0 * h) - of_q(&|q| arm.kinetic_energy(q, &state.qd));
+            assert!((dynamic[k] - want).abs() < 1e-7, "{what} row {k}: {} for {want}", dynamic[k]);
+            let want = of_q(&|q| arm.elastic_energy(q));
+            assert!((elastic[k] - want).abs() < 1e-5, "{what} row {k}: {} for {want}", elastic[k]);
+        }
+    });
+}
