@@ -209,9 +209,9 @@ fn a_value_of_the_wrong_type_is_refused() {
 fn a_name_that_is_no_choice_is_refused() {
     refuse(
         "controller.toml",
-        "kind = \"passive\"",
-        "kind = \"pasive\"",
-        &["`observer.kind` = \"pasive\"", "did you mean `passive`", "kalman"],
+        "warning = \"seeded\"",
+        "warning = \"seded\"",
+        &["`planner.warning` = \"seded\"", "did you mean `seeded`", "complementarity"],
     );
 }
 

@@ -10,7 +10,7 @@
 //! out of the estimate's error, whatever the arm is made of, so the observer inherits the model's stability instead of
 //! competing with it; a Kalman filter diverged with cable friction. Its old weakness, torsion, which cables do not see
 //! and which swung on in the model, is met by more damping in the observer's model than the arm has (`passive`). With
-//! that it comes near the Kalman filter's accuracy. [`crate::config::ObserverKind::Passive`] is the only kind built.
+//! that it comes near the Kalman filter's accuracy.
 //!
 //! - `cable_space`: lengths to bend angles, two per segment, and back.
 //! - `passive`: the observer.

@@ -2,9 +2,7 @@
 
 use crate::closed_loop::Settings;
 use crate::scenario::{Scenario, ScenarioName};
-use sinew::config::{
-    ArmConfig, BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch,
-};
+use sinew::config::{ArmConfig, BarrierConfig, BodyModel, ObserverConfig, PlannerConfig, SwarmConfig, WarningBranch};
 use sinew::integrator::Scheme;
 
 /// Choices of a run; the default is what the study found best.
@@ -73,7 +71,8 @@ impl Choice {
         let scheme = Scheme::new(arm.rho_inf);
         let lag = scenario.rate_over_pose() * scheme.gamma / (scheme.phi * self.lookahead);
         let observer = ObserverConfig {
-            kind: ObserverKind::Passive,
+            model_damping_ratio: 2.5,
+            rho_inf: 0.0,
             stiffness_ratio: self.stiffness_ratio,
             damping_s: self.damping,
             filter_time_s: self.filter,
