@@ -15,6 +15,10 @@ pub struct ObserverConfig {
     pub filter_time_s: f64,
     /// Time constant T_b of the disturbance estimate (s).
     pub disturbance_time_s: f64,
+    /// Damping of the observer's model over the arm's.
+    pub model_damping_ratio: f64,
+    /// Spectral radius of the observer's integrator.
+    pub rho_inf: f64,
     /// The estimate has settled when every entry of z is below this (rad) ...
     pub settle_innovation_rad: f64,
     /// ... and every bend angle's rate below this (rad/s) ...
