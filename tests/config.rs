@@ -476,8 +476,10 @@ fn every_default_may_be_written_out_and_changes_nothing() {
 fn the_controllers_file_states_the_defaults() {
     let mut bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
     assert_eq!(bare.planner.body_radius_m, 0.055, "the body's default radius is the disks'");
-    // The one deliberate difference.
+    // The deliberate differences: the demonstrations' body, and a swarm that fits into a period.
     bare.planner.body_radius_m = 0.0;
+    let swarm = &mut bare.planner.swarm;
+    (swarm.particles_normal, swarm.particles_uniform, swarm.sweeps_max, swarm.stall_sweeps) = (15, 5, 10, 3);
     assert_eq!(bare, Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap());
 }
 

@@ -319,7 +319,7 @@ impl Planner {
     fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) {
         let c = &self.config;
         self.arm.frames_into(&next.q, &mut self.frames.r, &mut self.frames.t);
-        let reach = c.clearance_m + c.warning_distance_m + c.warning_hysteresis_m + REACH_M;
+        let reach = c.clearance_m + c.warning_margin_m() + c.warning_hysteresis_m + REACH_M;
         let found = self.body.find(&self.frames.r, &self.frames.t, inputs.ahead, reach);
         report.distance_min = found.minimum;
         self.pairs.rows.clear();
