@@ -4,6 +4,7 @@
 
 pub mod collision;
 pub mod config;
+pub mod control;
 pub mod estimator;
 pub mod integrator;
 pub mod ipc;
