@@ -144,7 +144,8 @@ mod tests {
 
     #[test]
     fn a_fault_that_makes_no_sense_is_refused_with_an_example() {
-        for text in ["", "stick", "stick:0", "stick:x@1", "burn:1", "stick:1@-1", "stick:1@inf", "stick:1:2", "jump:1:nan"]
+        for text in
+            ["", "stick", "stick:0", "stick:x@1", "burn:1", "stick:1@-1", "stick:1@inf", "stick:1:2", "jump:1:nan"]
         {
             let refusal = text.parse::<FaultSpec>().unwrap_err();
             assert!(refusal.contains("stick:7@12.5"), "{refusal}");

@@ -229,7 +229,10 @@ impl Rig {
     /// Torque that a cable's drive reports (per mille of rated torque): its own, or that of the braked drum.
     pub fn torque(&self, cable: usize, own_permille: i16) -> i16 {
         let channel = &self.channels.channels()[cable];
-        self.drums[cable].held_n.and_then(|held| channel.encode_tension(held)).map_or(own_permille, |(torque, _)| torque)
+        self.drums[cable]
+            .held_n
+            .and_then(|held| channel.encode_tension(held))
+            .map_or(own_permille, |(torque, _)| torque)
     }
 
     /// Breaks an encoder; what a fault does to a drive is not the rig's.

@@ -153,11 +153,8 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         .map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
 
     let mut u = start.tensions.clone();
-    let mut outcome = Outcome {
-        distance_points: (f64::INFINITY, 0.0),
-        distance_arm: (f64::INFINITY, 0.0),
-        ..Default::default()
-    };
+    let mut outcome =
+        Outcome { distance_points: (f64::INFINITY, 0.0), distance_arm: (f64::INFINITY, 0.0), ..Default::default() };
     let mut settled = false;
     let (mut k, mut before) = (0usize, 0usize);
     let (mut squares, mut sum) = (0.0, 0.0);
