@@ -115,7 +115,9 @@ impl Schedule {
             };
             waiting.push((spec.at_s, cable, spec.kind));
         }
-        waiting.sort_by(|a, b| b.0.total_cmp(&a.0));
+        // Those of one time in the order given.
+        waiting.sort_by(|a, b| a.0.total_cmp(&b.0));
+        waiting.reverse();
         Ok(Self { waiting })
     }
 
@@ -159,9 +161,9 @@ mod tests {
         assert_eq!(schedule.due(0.5), None);
         assert_eq!(schedule.due(1.0), Some((0, FaultKind::Jump(JUMP_M))));
         assert_eq!(schedule.due(1.0), None);
-        let mut both = [schedule.due(3.0).unwrap().0, schedule.due(3.0).unwrap().0];
-        both.sort_unstable();
-        assert_eq!((both, schedule.due(9.0)), ([1, 2], None));
+        assert_eq!(schedule.due(3.0), Some((2, FaultKind::Stick)));
+        assert_eq!(schedule.due(3.0), Some((1, FaultKind::Trip)));
+        assert_eq!(schedule.due(9.0), None);
     }
 
     #[test]
