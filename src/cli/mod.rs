@@ -1,6 +1,9 @@
 //! Commands of `sinew`; each file is one.
 
 mod check;
+mod client;
+mod demo;
+mod leash;
 mod plan;
 
 use clap::{Parser, Subcommand};
@@ -20,6 +23,14 @@ enum Command {
     Plan(plan::Plan),
     /// Read a configuration, refuse whatever can be refused, and show what it means.
     Check(check::Check),
+    /// Run a scenario in closed loop against the simulated plant, every part a process of its own.
+    Demo(demo::Demo),
+    /// A scenario's obstacles or task, as a client of a running daemon.
+    #[command(hide = true)]
+    Client(client::Client),
+    /// Run a program that ends when its parent ends.
+    #[command(hide = true)]
+    Leash(leash::Leash),
 }
 
 /// How a command ended.
@@ -48,6 +59,9 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
     match arguments.command {
         Command::Plan(plan) => plan.run(),
         Command::Check(check) => check.run(),
+        Command::Demo(demo) => demo.run(),
+        Command::Client(client) => client.run(),
+        Command::Leash(leash) => leash.run(),
     }
 }
 
