@@ -4,6 +4,8 @@
 
 pub mod collision;
 pub mod config;
+pub mod control;
+pub mod daemon;
 pub mod estimator;
 pub mod integrator;
 pub mod ipc;

@@ -1,0 +1,627 @@
+//! One tick: estimate, decide, plan, check.
+//!
+//! [`Cycle::tick`] is everything that must happen before the tensions are sent; [`Cycle::report`] completes the record
+//! and belongs after sending, so that distances and telemetry never delay a command.
+
+use super::budget::{Deadline, Phase};
+use super::estimator::{Estimate, Estimator};
+use super::fault::{Fault, FaultList, Limit, Limits};
+use super::guard::{EncoderGuard, EncoderReadings, Floor, InnovationGuard, TensionGuard};
+use super::obstacles::{ObstacleDemand, ObstaclePair};
+use super::ramp::Ramp;
+use super::record::{Distance, Record};
+use super::settings::{Settings, seconds_to_ns};
+use super::supervisor::{
+    Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
+};
+use super::target::{Target, TargetInput, lag_s};
+use super::{CABLES_MAX, CURVATURES_MAX, EventRing, NODES_MAX};
+use crate::collision::{Body, BodyGeometry};
+use crate::integrator::Scheme;
+use crate::math::quaternion::rotation;
+use crate::model::Arm;
+use crate::planner::{Goal, Inputs, Planner, Report, Status};
+use nalgebra::{Vector3, Vector4};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// What the cycle needs of a planner, so that a test can put a broken one in its place.
+pub trait Plan {
+    /// Plans one step, see [`Planner::plan`]. Must not allocate.
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report;
+
+    /// Tensions of the last plan (N), one per cable.
+    fn tensions(&self) -> &[f64];
+}
+
+impl Plan for Planner {
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
+        Self::plan(self, inputs, rng, stop)
+    }
+
+    fn tensions(&self) -> &[f64] {
+        Self::tensions(self)
+    }
+}
+
+/// What a tick works from.
+#[derive(Debug, Clone, Copy)]
+pub struct TickInputs<'a> {
+    /// Tick, from 0.
+    pub tick: u64,
+    /// Time of the tick (ns, the loop's clock): the scheduled one, so that jitter does not enter the control law.
+    pub now_ns: u64,
+    /// Whether this tick began when the next one was due ([`super::Budget::is_late`]).
+    pub late: bool,
+    /// Newest encoder readings.
+    pub encoders: EncoderReadings<'a>,
+    /// Measured tensions (N), for the record alone; empty for none, NaN where not valid.
+    pub tensions_measured_n: &'a [f64],
+    /// Obstacles at `now_ns` and at `now_ns` plus the lookahead.
+    pub obstacles: &'a ObstaclePair,
+    /// What the obstacle inputs ask for.
+    pub demand: ObstacleDemand,
+    /// Target, if there is one.
+    pub target: Option<TargetInput>,
+    /// Drives.
+    pub drives: DrivesInput,
+    /// A request, at most one a tick.
+    pub request: Option<Request>,
+}
+
+/// What a tick decided; the tensions are [`Cycle::tensions_n`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TickOutput {
+    /// Mode after the tick.
+    pub mode: Mode,
+    /// What the drives shall do.
+    pub drives: DrivesCommand,
+    /// The answer to the request, if there was one.
+    pub answer: Option<Answer>,
+}
+
+/// What a hold keeps to.
+#[derive(Debug, Clone, Copy)]
+enum Held {
+    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
+    Shape([f64; CURVATURES_MAX]),
+}
+
+/// The controller of one arm.
+#[derive(Debug)]
+pub struct Cycle<E, P = Planner> {
+    settings: Settings,
+    arm: Arm,
+    estimator: E,
+    /// The two tasks weight the tensions' change differently, hence two planners.
+    tip_planner: P,
+    shape_planner: P,
+    supervisor: Supervisor,
+    encoders: EncoderGuard,
+    innovation: InnovationGuard,
+    tensions: TensionGuard,
+    ramp: Ramp,
+    body: Body,
+    period_ns: u64,
+    lead_tip_s: f64,
+    lead_shape_s: f64,
+
+    observing: bool,
+    estimate: Estimate,
+    held: Held,
+    /// Whether the last target that was followed was a tip pose: what a hold then keeps to.
+    last_was_tip: bool,
+    singular_in_row: u32,
+    model_lengths: Vec<f64>,
+    safe: Vec<f64>,
+    zeros: Vec<f64>,
+    proposed: Vec<f64>,
+    sent: Vec<f64>,
+    applied: Vec<f64>,
+    curvatures: [f64; CURVATURES_MAX],
+    curvature_rates: [f64; CURVATURES_MAX],
+    positions: Vec<Vector3<f64>>,
+    tangents: Vec<Vector3<f64>>,
+    record: Record,
+}
+
+impl<E: Estimator> Cycle<E> {
+    /// With the real planners. Allocates; nothing else here does.
+    ///
+    /// # Panics
+    /// If the arm has more cables or segments than a record holds, which the configuration does not permit.
+    pub fn new(settings: &Settings, estimator: E) -> Self {
+        let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
+        let planner = |tension, change: &[f64]| Planner::new(&settings.arm, &settings.planner, tension, change);
+        Self::with_planners(
+            settings,
+            estimator,
+            planner(tip.tension, &tip.tension_change),
+            planner(shape.tension, &shape.tension_change),
+        )
+    }
+}
+
+impl<E: Estimator, P: Plan> Cycle<E, P> {
+    /// With given planners for tip and shape targets. Allocates.
+    ///
+    /// # Panics
+    /// As [`Cycle::new`].
+    pub fn with_planners(settings: &Settings, estimator: E, tip_planner: P, shape_planner: P) -> Self {
+        let arm = Arm::new(&settings.arm);
+        let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
+        assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
+        let planner = &settings.planner;
+        let scheme = Scheme::new(settings.arm.rho_inf);
+        let period_s = settings.timing.period_s;
+        let weights = &settings.weights;
+        let lead = |rate, pose| {
+            planner.lookahead_s + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
+        };
+        Self {
+            supervisor: Supervisor::new(&settings.timing, &settings.observer),
+            encoders: EncoderGuard::new(&settings.guard, cables),
+            innovation: InnovationGuard::new(&settings.observer, period_s),
+            tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
+            ramp: Ramp::new(cables, settings.timing.ramp_s),
+            // The rows of a search are the planner's business; measuring needs none.
+            body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
+            period_ns: seconds_to_ns(period_s),
+            lead_tip_s: lead(weights.tip.rate, weights.tip.pose),
+            // One weight for curvatures and rates (46).
+            lead_shape_s: lead(weights.shape.curvature, weights.shape.curvature),
+            observing: false,
+            estimate: Estimate { innovation_max_rad: f64::NAN, settled: false },
+            held: Held::Shape([0.0; CURVATURES_MAX]),
+            last_was_tip: false,
+            singular_in_row: 0,
+            model_lengths: vec![0.0; cables],
+            safe: vec![settings.safe_tension_n(); cables],
+            zeros: vec![0.0; cables],
+            proposed: vec![0.0; cables],
+            sent: vec![0.0; cables],
+            applied: vec![0.0; cables],
+            curvatures: [0.0; CURVATURES_MAX],
+            curvature_rates: [0.0; CURVATURES_MAX],
+            positions: vec![Vector3::zeros(); nodes + 1],
+            tangents: vec![Vector3::zeros(); nodes + 1],
+            record: Record::default(),
+            settings: settings.clone(),
+            arm,
+            estimator,
+            tip_planner,
+            shape_planner,
+        }
+    }
+
+    /// How far ahead of the tick a target of this kind is wanted (s): lookahead plus lag, or plus `lead_s`.
+    pub const fn lead_s(&self, tip: bool) -> f64 {
+        if tip { self.lead_tip_s } else { self.lead_shape_s }
+    }
+
+    /// Tensions to send (N), one per cable: finite and inside the box; zero while the drives are off.
+    pub fn tensions_n(&self) -> &[f64] {
+        &self.sent
+    }
+
+    /// Present mode.
+    pub const fn mode(&self) -> Mode {
+        self.supervisor.mode()
+    }
+
+    /// What happened; the caller takes the events out.
+    pub const fn events_mut(&mut self) -> &mut EventRing {
+        self.supervisor.events_mut()
+    }
+
+    /// The supervisor.
+    pub const fn supervisor(&self) -> &Supervisor {
+        &self.supervisor
+    }
+
+    /// The estimator.
+    pub const fn estimator(&self) -> &E {
+        &self.estimator
+    }
+
+    /// One tick, up to the tensions. Does not allocate, never panics on any input, asks `deadline` while planning.
+    pub fn tick(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        rng: &mut Xoshiro256PlusPlus,
+        deadline: &mut impl Deadline,
+    ) -> TickOutput {
+        let mut faults = FaultList::default();
+        let mut limits = Limits::default();
+        self.watch_encoders(inputs, &mut faults, &mut limits);
+        let progress = self.follow(inputs, &mut faults);
+        if inputs.target.is_some_and(|t| !t.now.is_finite() || t.ahead.is_some_and(|a| !a.is_finite())) {
+            faults.push(Fault::TargetNotFinite);
+        }
+        if faults.iter().any(|fault| fault.spoils_estimate()) {
+            self.observing = false;
+        }
+        deadline.mark(Phase::Estimate);
+
+        let before = self.supervisor.mode();
+        let seen = self.observed(inputs, faults, progress);
+        let decision = self.supervisor.step(&seen);
+        self.on_mode_change(before, inputs);
+        limits.0 |= decision.limits.0;
+        let plan = self.propose(inputs, &decision, &mut limits, rng, deadline);
+        deadline.mark(Phase::Plan);
+
+        let mut drives = decision.drives;
+        if let Some(fault) = self.check(&decision, &mut limits) {
+            self.supervisor.raise(fault, inputs.tick, inputs.now_ns, inputs.drives.phase);
+            // The tick of the fault is the first one of the ramp. The drives keep their torque for it.
+            self.ramp_down(inputs);
+            drives = DrivesCommand::On;
+        }
+        self.supervisor.note_limits(limits, inputs.tick, inputs.now_ns);
+        deadline.mark(Phase::Guard);
+        self.record.plan = plan;
+        self.record.limits = limits;
+        TickOutput { mode: self.supervisor.mode(), drives, answer: decision.answer }
+    }
+
+    /// Judges the readings; in modes that use them, their faults count.
+    fn watch_encoders(&mut self, inputs: &TickInputs<'_>, faults: &mut FaultList, limits: &mut Limits) {
+        let model = if self.observing {
+            self.arm.cable_lengths_into(&self.estimator.state().q, &mut self.model_lengths);
+            Some(&self.model_lengths[..])
+        } else {
+            None
+        };
+        // While the drives come up readings may be missing; the start waits for them.
+        let watch = match self.supervisor.mode() {
+            Mode::Disarmed | Mode::Starting => self.observing,
+            _ => true,
+        };
+        self.encoders.check(&inputs.encoders, inputs.now_ns, model, watch, faults);
+        if self.observing && self.encoders.bridged().0 != 0 {
+            limits.insert(Limit::EncoderBridged);
+        }
+    }
+
+    /// Starts or advances the estimate; how far the start has come.
+    fn follow(&mut self, inputs: &TickInputs<'_>, faults: &mut FaultList) -> Progress {
+        // Torque acts only where the drives give it.
+        let torque = inputs.drives.phase == DrivesPhase::Enabled;
+        self.applied.copy_from_slice(if torque { &self.sent } else { &self.zeros });
+        if self.observing {
+            match self.estimator.update(&self.applied, self.encoders.lengths_m()) {
+                Ok(estimate) if self.estimator.state().is_finite() => {
+                    self.estimate = estimate;
+                    // Until it has settled the start's own transient is no fault; the time-out is.
+                    let watched = self.supervisor.mode() != Mode::Starting;
+                    let fault = if watched { self.innovation.check(estimate.innovation_max_rad) } else { None };
+                    fault.into_iter().for_each(|fault| faults.push(fault));
+                }
+                _ => faults.push(Fault::EstimateLost),
+            }
+        }
+        if self.supervisor.mode() != Mode::Starting || !torque {
+            return Progress::Drives;
+        }
+        if self.sent != self.settings.start_tensions_n {
+            return Progress::Tensions;
+        }
+        if let (false, Some((cable, age_s))) = (self.observing, self.encoders.silent(inputs.now_ns)) {
+            return Progress::Encoder(cable, age_s);
+        }
+        if !self.observing {
+            match self.estimator.start(self.encoders.lengths_m(), &self.applied) {
+                Ok(()) if self.estimator.state().is_finite() => {
+                    self.observing = true;
+                    self.estimate.settled = false;
+                    self.encoders.restart(inputs.now_ns);
+                    self.innovation.reset();
+                }
+                _ => faults.push(Fault::NoStart),
+            }
+            return Progress::Settling;
+        }
+        if self.estimate.settled { Progress::Done } else { Progress::Settling }
+    }
+
+    fn observed(&mut self, inputs: &TickInputs<'_>, faults: FaultList, progress: Progress) -> Observed {
+        let state = self.estimator.state();
+        let count = 2 * self.arm.segment_count();
+        self.arm.curvatures_into(
+            &state.q,
+            &state.qd,
+            &mut self.curvatures[..count],
+            &mut self.curvature_rates[..count],
+        );
+        let home = &self.settings.home_curvatures_1pm;
+        let tolerance = self.settings.home_tolerance_1pm;
+        Observed {
+            tick: inputs.tick,
+            now_ns: inputs.now_ns,
+            request: inputs.request,
+            drives: inputs.drives,
+            faults,
+            progress,
+            target_fresh: inputs.target.is_some_and(|target| target.fresh),
+            obstacles: inputs.demand,
+            at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
+            at_home: self.curvatures[..count].iter().zip(home).all(|(k, home)| (k - home).abs() <= tolerance),
+            late: inputs.late,
+        }
+    }
+
+    /// What a change of mode does to the cycle's own state.
+    fn on_mode_change(&mut self, before: Mode, inputs: &TickInputs<'_>) {
+        let mode = self.supervisor.mode();
+        if mode == Mode::Tracking
+            && let Some(target) = &inputs.target
+        {
+            self.last_was_tip = target.now.is_tip();
+        }
+        if mode == before {
+            return;
+        }
+        self.ramp.end();
+        self.singular_in_row = 0;
+        match mode {
+            Mode::Holding => {
+                let state = self.estimator.state();
+                // Home and the first hold after the start keep the whole shape; a tip task keeps its tip.
+                self.held = if self.last_was_tip && before == Mode::Tracking {
+                    let (position, quaternion) = self.arm.pose(&state.q, self.arm.node_count());
+                    Held::Tip { position, quaternion }
+                } else {
+                    Held::Shape(self.curvatures)
+                };
+            }
+            Mode::Disarmed | Mode::Starting => {
+                self.observing = false;
+                self.last_was_tip = false;
+            }
+            _ => {}
+        }
+    }
+
+    /// Writes the tensions that the decision asks for to `proposed`.
+    fn propose(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        decision: &Decision,
+        limits: &mut Limits,
+        rng: &mut Xoshiro256PlusPlus,
+        deadline: &mut impl Deadline,
+    ) -> Option<Report> {
+        let begin_ns = inputs.now_ns.saturating_sub(self.period_ns);
+        if !matches!(decision.action, Action::Ramp | Action::Tighten) {
+            self.ramp.end();
+        }
+        let target = match decision.action {
+            Action::Off => {
+                self.proposed.fill(0.0);
+                return None;
+            }
+            Action::Keep => {
+                self.proposed.copy_from_slice(&self.sent);
+                return None;
+            }
+            Action::Ramp => {
+                self.ramp.begin(&self.sent, begin_ns);
+                self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
+                return None;
+            }
+            Action::Tighten => {
+                if inputs.drives.phase == DrivesPhase::Enabled {
+                    self.ramp.begin(&self.sent, begin_ns);
+                    self.ramp.tensions_into(&self.settings.start_tensions_n, inputs.now_ns, &mut self.proposed);
+                } else {
+                    self.ramp.end();
+                    self.proposed.fill(0.0);
+                }
+                return None;
+            }
+            Action::Hold => match self.held {
+                Held::Tip { position, quaternion } => Wanted::Tip { position, quaternion },
+                Held::Shape(curvatures) => Wanted::Shape(curvatures),
+            },
+            Action::Home => {
+                let mut curvatures = [0.0; CURVATURES_MAX];
+                curvatures.iter_mut().zip(&self.settings.home_curvatures_1pm).for_each(|(k, home)| *k = *home);
+                Wanted::Shape(curvatures)
+            }
+            Action::Track => match self.wanted(inputs) {
+                Some(wanted) => wanted,
+                // The supervisor tracks only with a target; without one, keeping what acts is the harmless answer.
+                None => {
+                    self.proposed.copy_from_slice(&self.sent);
+                    return None;
+                }
+            },
+        };
+        Some(self.plan(inputs, &target, limits, rng, deadline))
+    }
+
+    /// The target at the end of lookahead and lead.
+    fn wanted(&self, inputs: &TickInputs<'_>) -> Option<Wanted> {
+        let target = inputs.target?;
+        let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s(target.now.is_tip())));
+        Some(match ahead {
+            Target::Tip { position_m, quaternion, .. } => {
+                Wanted::Tip { position: position_m, quaternion: quaternion.normalize() }
+            }
+            Target::Shape { curvatures_1pm, .. } => Wanted::Shape(curvatures_1pm),
+        })
+    }
+
+    fn plan(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        wanted: &Wanted,
+        limits: &mut Limits,
+        rng: &mut Xoshiro256PlusPlus,
+        deadline: &mut impl Deadline,
+    ) -> Report {
+        let weights = &self.settings.weights;
+        let (planner, goal) = match wanted {
+            Wanted::Tip { position, quaternion } => {
+                let w = &weights.tip;
+                let (position, quaternion) = (*position, *quaternion);
+                let goal = Goal::Tip { position, quaternion, pose: w.pose, rate: w.rate, damping: w.damping };
+                (&mut self.tip_planner, goal)
+            }
+            Wanted::Shape(curvatures) => {
+                let curvatures = &curvatures[..2 * self.arm.segment_count()];
+                (&mut self.shape_planner, Goal::Shape { curvatures, weight: weights.shape.curvature })
+            }
+        };
+        let report = planner.plan(
+            &Inputs {
+                state: self.estimator.state(),
+                u_previous: &self.sent,
+                disturbance: self.estimator.disturbance_n(),
+                goal,
+                now: inputs.obstacles.now(),
+                ahead: inputs.obstacles.ahead(),
+            },
+            rng,
+            &mut || deadline.is_over(),
+        );
+        if report.status == Status::Singular {
+            self.singular_in_row += 1;
+            limits.insert(Limit::PlanSingular);
+            self.proposed.copy_from_slice(&self.sent);
+        } else {
+            self.singular_in_row = 0;
+            self.proposed.copy_from_slice(planner.tensions());
+        }
+        if report.status == Status::BudgetSpent {
+            limits.insert(Limit::BudgetSpent);
+        }
+        if report.relaxed {
+            limits.insert(Limit::Relaxed);
+        }
+        report
+    }
+
+    /// The guard: moves what may leave to `sent`.
+    fn check(&mut self, decision: &Decision, limits: &mut Limits) -> Option<Fault> {
+        if decision.action == Action::Off {
+            // Nothing leaves but zero: no box, no rate.
+            self.sent.fill(0.0);
+            return None;
+        }
+        // The box holds once the cables are tight; before that, and where a start was cut short, it begins at zero.
+        let tight = self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent >= safe);
+        let floor = if tight && decision.action != Action::Tighten { Floor::Box } else { Floor::Zero };
+        self.applied.copy_from_slice(&self.sent);
+        let verdict = self.tensions.check(&self.proposed, &self.applied, floor, &mut self.sent);
+        if verdict.limited > 0 {
+            limits.insert(Limit::RateLimited);
+        }
+        verdict.fault.or_else(|| {
+            let count = self.singular_in_row;
+            (count >= self.settings.singular_plans_max).then_some(Fault::PlanSingular { count })
+        })
+    }
+
+    /// One tick of the ramp to the safe tension, from what was sent last.
+    fn ramp_down(&mut self, inputs: &TickInputs<'_>) {
+        self.ramp.end();
+        self.ramp.begin(&self.sent, inputs.now_ns.saturating_sub(self.period_ns));
+        self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
+        self.applied.copy_from_slice(&self.sent);
+        self.tensions.check(&self.proposed, &self.applied, Floor::Zero, &mut self.sent);
+    }
+
+    /// Completes the record of the tick that was done with `inputs`. Does not allocate. For after sending.
+    pub fn report(&mut self, inputs: &TickInputs<'_>) -> &Record {
+        let state = self.estimator.state();
+        let (cables, count) = (self.arm.cable_count(), 2 * self.arm.segment_count());
+        let r = &mut self.record;
+        r.tick = inputs.tick;
+        r.now_ns = inputs.now_ns;
+        r.mode = self.supervisor.mode();
+        r.fault = self.supervisor.latch().first;
+        r.fault_count = self.supervisor.latch().count;
+        r.drives = inputs.drives.phase;
+        r.late_in_row = self.supervisor.late_in_row();
+        r.events_dropped = self.supervisor.events_mut().dropped;
+        r.observing = self.observing;
+        r.settled = self.observing && self.estimate.settled;
+        r.innovation_max_rad = if self.observing { self.estimate.innovation_max_rad } else { f64::NAN };
+
+        r.cable_count = cables;
+        r.tension_command_n[..cables].copy_from_slice(&self.sent);
+        r.tension_measured_n.fill(f64::NAN);
+        copy(inputs.tensions_measured_n, &mut r.tension_measured_n[..cables]);
+        r.cable_length_m[..cables].copy_from_slice(self.encoders.lengths_m());
+        r.bridged = self.encoders.bridged();
+        r.encoder_capture_ns = inputs.encoders.capture_ns;
+
+        r.curvature_count = count;
+        r.curvature_1pm[..count].copy_from_slice(&self.curvatures[..count]);
+        r.innovation_rad.fill(f64::NAN);
+        copy(self.estimator.innovation_rad(), &mut r.innovation_rad[..count]);
+        r.disturbance_nm.fill(f64::NAN);
+        copy(self.estimator.disturbance_nm(), &mut r.disturbance_nm[..count]);
+
+        let tip = self.arm.tip(&state.q, &state.qd);
+        r.tip_position_m = tip.position.into();
+        r.tip_quaternion = tip.quaternion.into();
+        r.tip_velocity_mps = tip.velocity.into();
+        r.tip_angular_velocity_radps = (rotation(&tip.quaternion) * tip.angular_velocity).into();
+
+        r.target = inputs.target.map(|target| target.now);
+        r.target_sequence = inputs.target.map_or(0, |target| target.sequence);
+        (r.tip_error_m, r.quaternion_error, r.curvature_error_1pm) = (f64::NAN, f64::NAN, f64::NAN);
+        match r.target {
+            Some(Target::Tip { position_m, quaternion, .. }) => {
+                r.tip_error_m = (tip.position - position_m).norm();
+                let sign = if quaternion.dot(&tip.quaternion) < 0.0 { -1.0 } else { 1.0 };
+                r.quaternion_error = (tip.quaternion - sign * quaternion).norm();
+            }
+            Some(Target::Shape { curvatures_1pm, .. }) => {
+                let errors = self.curvatures[..count].iter().zip(&curvatures_1pm).map(|(k, d)| (k - d).abs());
+                r.curvature_error_1pm = errors.fold(0.0, f64::max);
+            }
+            None => {}
+        }
+
+        let nodes = self.arm.node_count();
+        r.node_stride = nodes.div_ceil(NODES_MAX).max(1);
+        r.node_count = nodes.div_ceil(r.node_stride);
+        for i in 0..r.node_count {
+            let node = ((i + 1) * r.node_stride).min(nodes) - 1;
+            r.nodes[i].copy_from_slice(&state.q[7 * node..7 * (node + 1)]);
+        }
+
+        self.arm.frames_into(&state.q, &mut self.positions, &mut self.tangents);
+        let obstacles = inputs.obstacles.now();
+        let measured = self.body.measure(&self.positions, &self.tangents, obstacles);
+        r.obstacle_count = obstacles.len();
+        for (k, obstacle) in obstacles.as_slice().iter().enumerate() {
+            r.distances[k] = Distance {
+                id: obstacle.id(),
+                along_arm_m: measured.along_arm[k],
+                at_points_m: measured.at_points[k],
+                growth_m: obstacle.growth(),
+            };
+        }
+        &self.record
+    }
+
+    /// The record, for the caller to fill in the timing.
+    pub const fn record_mut(&mut self) -> &mut Record {
+        &mut self.record
+    }
+}
+
+/// What a plan is made for.
+enum Wanted {
+    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
+    Shape([f64; CURVATURES_MAX]),
+}
+
+/// Copies as much as both have.
+fn copy(from: &[f64], to: &mut [f64]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+}

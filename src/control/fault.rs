@@ -1,0 +1,441 @@
+//! What can go wrong, as data: faults that change the mode, limits that act, and the latch that keeps the first cause.
+//!
+//! Nothing here formats in the loop: words are made by `Display`, [`Fault::what`] and [`Fault::remedy`] elsewhere.
+
+use std::fmt;
+
+/// The machine must change its mode: tensions go to the safe value by ramp, drives are disabled, the cause is latched.
+///
+/// Codes are stable and below 64; a number once given is never reused.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Fault {
+    /// A drive reports a fault.
+    DriveFault {
+        /// Cable (0-based).
+        cable: u16,
+        /// The drive layer's number for it.
+        cause: u32,
+    },
+    /// The drives left torque operation without being told to and without naming a fault.
+    DrivesLost,
+    /// The drives did not come up in time.
+    DrivesNotUp {
+        /// Time waited (s).
+        after_s: f64,
+    },
+    /// A bus does not answer.
+    BusLost {
+        /// Bus (0-based).
+        bus: u16,
+    },
+    /// No reading of an encoder for too long.
+    EncoderSilent {
+        /// Cable (0-based).
+        cable: u16,
+        /// Age of its last reading (s); infinite if there was none.
+        age_s: f64,
+    },
+    /// A reading differs from the one before by more than a cable can move.
+    EncoderJump {
+        /// Cable (0-based).
+        cable: u16,
+        /// Difference (m); NaN where the reading was not a number.
+        step_m: f64,
+    },
+    /// A reading stays exactly the same while the model moves its cable.
+    EncoderStuck {
+        /// Cable (0-based).
+        cable: u16,
+        /// Motion of the model's cable meanwhile (m).
+        motion_m: f64,
+    },
+    /// Model and measurement differ by more than the bound.
+    InnovationBound {
+        /// Largest |z| (rad).
+        innovation_rad: f64,
+    },
+    /// The difference of model and measurement grows.
+    InnovationGrowth {
+        /// Growth within the window (rad).
+        growth_rad: f64,
+    },
+    /// The observer did not settle in time.
+    NotSettled {
+        /// Time waited (s).
+        after_s: f64,
+    },
+    /// The observer found no start from the measured lengths.
+    NoStart,
+    /// The estimated state is not finite, or its step failed.
+    EstimateLost,
+    /// A planned tension is not a finite number.
+    TensionNotFinite {
+        /// Cable (0-based).
+        cable: u16,
+    },
+    /// A planned tension lies outside its box by more than rounding.
+    TensionOutside {
+        /// Cable (0-based).
+        cable: u16,
+        /// As planned (N).
+        tension_n: f64,
+    },
+    /// The planner could not linearise its step several times in a row.
+    PlanSingular {
+        /// Ticks in a row.
+        count: u32,
+    },
+    /// A target that is not a finite number reached the loop.
+    TargetNotFinite,
+    /// Too many late ticks in a row.
+    Overruns {
+        /// Ticks in a row.
+        count: u32,
+    },
+}
+
+impl Fault {
+    /// One of each, for documents and tests; the data are placeholders.
+    pub const EXAMPLES: [Self; 17] = [
+        Self::DriveFault { cable: 0, cause: 0 },
+        Self::DrivesLost,
+        Self::DrivesNotUp { after_s: 0.0 },
+        Self::BusLost { bus: 0 },
+        Self::EncoderSilent { cable: 0, age_s: 0.0 },
+        Self::EncoderJump { cable: 0, step_m: 0.0 },
+        Self::EncoderStuck { cable: 0, motion_m: 0.0 },
+        Self::InnovationBound { innovation_rad: 0.0 },
+        Self::InnovationGrowth { growth_rad: 0.0 },
+        Self::NotSettled { after_s: 0.0 },
+        Self::NoStart,
+        Self::EstimateLost,
+        Self::TensionNotFinite { cable: 0 },
+        Self::TensionOutside { cable: 0, tension_n: 0.0 },
+        Self::PlanSingular { count: 0 },
+        Self::TargetNotFinite,
+        Self::Overruns { count: 0 },
+    ];
+
+    /// Stable number: 1x drives and bus, 2x encoders, 3x estimate, 4x plan, 5x time.
+    pub const fn code(&self) -> u32 {
+        match self {
+            Self::DriveFault { .. } => 10,
+            Self::DrivesLost => 11,
+            Self::DrivesNotUp { .. } => 12,
+            Self::BusLost { .. } => 13,
+            Self::EncoderSilent { .. } => 20,
+            Self::EncoderJump { .. } => 21,
+            Self::EncoderStuck { .. } => 22,
+            Self::InnovationBound { .. } => 30,
+            Self::InnovationGrowth { .. } => 31,
+            Self::NotSettled { .. } => 32,
+            Self::NoStart => 33,
+            Self::EstimateLost => 34,
+            Self::TensionNotFinite { .. } => 40,
+            Self::TensionOutside { .. } => 41,
+            Self::PlanSingular { .. } => 42,
+            Self::TargetNotFinite => 43,
+            Self::Overruns { .. } => 50,
+        }
+    }
+
+    /// What it is about, by code: the cable or bus (0-based), or a count; 0 where there is no such number.
+    pub const fn detail(&self) -> u32 {
+        match *self {
+            Self::DriveFault { cable, .. }
+            | Self::EncoderSilent { cable, .. }
+            | Self::EncoderJump { cable, .. }
+            | Self::EncoderStuck { cable, .. }
+            | Self::TensionNotFinite { cable }
+            | Self::TensionOutside { cable, .. } => cable as u32,
+            Self::BusLost { bus } => bus as u32,
+            Self::PlanSingular { count } | Self::Overruns { count } => count,
+            _ => 0,
+        }
+    }
+
+    /// What happened, without the data, for a log that has only the code.
+    pub const fn what(&self) -> &'static str {
+        match self {
+            Self::DriveFault { .. } => "a drive reports a fault",
+            Self::DrivesLost => "the drives left torque operation by themselves",
+            Self::DrivesNotUp { .. } => "the drives did not come up in time",
+            Self::BusLost { .. } => "a bus does not answer",
+            Self::EncoderSilent { .. } => "an encoder is silent",
+            Self::EncoderJump { .. } => "an encoder jumped",
+            Self::EncoderStuck { .. } => "an encoder sticks while its cable moves",
+            Self::InnovationBound { .. } => "model and measured cable lengths disagree",
+            Self::InnovationGrowth { .. } => "model and measured cable lengths drift apart",
+            Self::NotSettled { .. } => "the observer did not settle in time",
+            Self::NoStart => "no arm shape fits the measured cable lengths",
+            Self::EstimateLost => "the estimated state is not finite",
+            Self::TensionNotFinite { .. } => "a planned tension is not a number",
+            Self::TensionOutside { .. } => "a planned tension lies outside its box",
+            Self::PlanSingular { .. } => "the planner failed several times in a row",
+            Self::TargetNotFinite => "a target that is not a number reached the loop",
+            Self::Overruns { .. } => "too many late ticks in a row",
+        }
+    }
+
+    /// What clears it. Every fault is released by `clear` once its cause is gone and the ramp is over.
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::DriveFault { .. } => "look up the drive's error, then `clear`: it resets the drives",
+            Self::DrivesLost => "check power, brake and enable lines of the drives, then `clear`",
+            Self::DrivesNotUp { .. } => "check power, wiring and node ids of the drives, then `clear` and `arm`",
+            Self::BusLost { .. } => "restore the bus (cable, termination, interface), then `clear`",
+            Self::EncoderSilent { .. } => "restore the encoder's readings, then `clear`",
+            Self::EncoderJump { .. } => "check the encoder and its cable's drum, reference it anew, then `clear`",
+            Self::EncoderStuck { .. } => "check the encoder's coupling and the cable (broken, slack), then `clear`",
+            Self::InnovationBound { .. } | Self::InnovationGrowth { .. } => {
+                "look for a broken or slack cable, a wrong encoder reference or an unmodelled load, then `clear`"
+            }
+            Self::NotSettled { .. } => {
+                "bring the arm to rest and check the encoders' references, then `clear` and `arm`"
+            }
+            Self::NoStart => "check the encoders' references and the arm's parameters, then `clear` and `arm`",
+            Self::EstimateLost => "check the arm's parameters (damping, masses), then `clear` and `arm`",
+            Self::TensionNotFinite { .. } | Self::TensionOutside { .. } => {
+                "a defect of the planner: keep the recording, then `clear` and `arm`"
+            }
+            Self::PlanSingular { .. } => "bring the arm to a regular pose, then `clear` and `arm`",
+            Self::TargetNotFinite => "stop the client that sends it, then `clear`",
+            Self::Overruns { .. } => "free the processor or lengthen the period, then `clear` and `arm`",
+        }
+    }
+
+    /// Whether the estimate can no longer be believed, so that it is not continued after this fault.
+    pub const fn spoils_estimate(&self) -> bool {
+        matches!(self.code() / 10, 2 | 3)
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::DriveFault { cable, cause } => write!(f, "the drive of cable {cable} reports fault {cause}"),
+            Self::DrivesNotUp { after_s } => write!(f, "the drives did not come up within {after_s:.1} s"),
+            Self::BusLost { bus } => write!(f, "bus {bus} does not answer"),
+            Self::EncoderSilent { cable, age_s } => {
+                write!(f, "the encoder of cable {cable} has been silent for {age_s:.3} s")
+            }
+            Self::EncoderJump { cable, step_m } => write!(f, "the encoder of cable {cable} jumped by {step_m:.4} m"),
+            Self::EncoderStuck { cable, motion_m } => {
+                write!(f, "the encoder of cable {cable} sticks while the model moves the cable by {motion_m:.4} m")
+            }
+            Self::InnovationBound { innovation_rad } => {
+                write!(f, "model and measured cable lengths disagree by {innovation_rad:.3} rad")
+            }
+            Self::InnovationGrowth { growth_rad } => {
+                write!(f, "model and measured cable lengths drifted apart by {growth_rad:.3} rad within the window")
+            }
+            Self::NotSettled { after_s } => write!(f, "the observer did not settle within {after_s:.1} s"),
+            Self::TensionNotFinite { cable } => write!(f, "the planned tension of cable {cable} is not a number"),
+            Self::TensionOutside { cable, tension_n } => {
+                write!(f, "the planned tension of cable {cable}, {tension_n:.6} N, lies outside its box")
+            }
+            Self::PlanSingular { count } => write!(f, "the planner failed {count} times in a row"),
+            Self::Overruns { count } => write!(f, "{count} late ticks in a row"),
+            Self::DrivesLost | Self::NoStart | Self::EstimateLost | Self::TargetNotFinite => f.write_str(self.what()),
+        }
+    }
+}
+
+/// The machine acts within a bound; no change of mode, or one that an ordinary request undoes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Limit {
+    /// Obstacles are unknown or too old: holding.
+    ObstaclesExpired = 0,
+    /// The target is absent or too old: holding.
+    TargetStale = 1,
+    /// The guard limits the change of a tension per tick.
+    RateLimited = 2,
+    /// A late tick: the last tensions are held.
+    OverrunHold = 3,
+    /// Several late ticks: the tensions are ramped down.
+    OverrunRamp = 4,
+    /// The time budget ended the planning step.
+    BudgetSpent = 5,
+    /// Distance constraints conflicted and were relaxed.
+    Relaxed = 6,
+    /// The planner failed in this tick; the last tensions are kept.
+    PlanSingular = 7,
+    /// A reading is missing and is bridged by the model.
+    EncoderBridged = 8,
+}
+
+impl Limit {
+    /// All, in the order of their codes.
+    pub const ALL: [Self; 9] = [
+        Self::ObstaclesExpired,
+        Self::TargetStale,
+        Self::RateLimited,
+        Self::OverrunHold,
+        Self::OverrunRamp,
+        Self::BudgetSpent,
+        Self::Relaxed,
+        Self::PlanSingular,
+        Self::EncoderBridged,
+    ];
+
+    /// Stable number from 100 on, apart from those of faults.
+    pub const fn code(self) -> u32 {
+        100 + self as u32
+    }
+
+    /// A short text for people.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::ObstaclesExpired => "obstacles unknown or too old: holding",
+            Self::TargetStale => "target absent or too old: holding",
+            Self::RateLimited => "tension rate limited",
+            Self::OverrunHold => "late tick: last tensions held",
+            Self::OverrunRamp => "late ticks: tensions ramped down",
+            Self::BudgetSpent => "planning budget spent",
+            Self::Relaxed => "distance constraints relaxed",
+            Self::PlanSingular => "planning step failed: last tensions kept",
+            Self::EncoderBridged => "missing reading bridged by the model",
+        }
+    }
+}
+
+/// The limits that act in a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Limits(pub u32);
+
+impl Limits {
+    /// Adds one.
+    pub const fn insert(&mut self, limit: Limit) {
+        self.0 |= 1 << limit as u32;
+    }
+
+    /// Whether one acts.
+    pub const fn contains(self, limit: Limit) -> bool {
+        self.0 >> limit as u32 & 1 == 1
+    }
+}
+
+/// Most faults that one tick can raise: more than there are kinds would be repetition.
+const LIST_MAX: usize = 8;
+
+/// The faults of one tick; what finds no place is counted.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FaultList {
+    faults: [Option<Fault>; LIST_MAX],
+    count: usize,
+}
+
+impl FaultList {
+    /// Adds one; beyond the capacity it is dropped, since the first cause is what counts.
+    pub fn push(&mut self, fault: Fault) {
+        if self.count < LIST_MAX {
+            self.faults[self.count] = Some(fault);
+            self.count += 1;
+        }
+    }
+
+    /// In the order in which they were found.
+    pub fn iter(&self) -> impl Iterator<Item = Fault> + '_ {
+        self.faults[..self.count].iter().flatten().copied()
+    }
+
+    /// Whether there is none.
+    pub const fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+}
+
+/// A fault with its time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Latched {
+    /// What.
+    pub fault: Fault,
+    /// Tick in which it was found.
+    pub tick: u64,
+    /// Time of that tick (ns).
+    pub now_ns: u64,
+}
+
+/// Keeps the first cause and counts what follows, until it is cleared.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FaultLatch {
+    /// The first cause: what the operator must look at; the rest often follows from it.
+    pub first: Option<Latched>,
+    /// The newest one.
+    pub last: Option<Latched>,
+    /// How many were raised since the last clear, repetitions included.
+    pub count: u32,
+    /// Bit `code` for every kind that was raised.
+    pub kinds: u64,
+}
+
+impl FaultLatch {
+    /// Latches a fault; true if its kind is new since the last clear.
+    pub fn raise(&mut self, fault: Fault, tick: u64, now_ns: u64) -> bool {
+        let latched = Latched { fault, tick, now_ns };
+        self.first.get_or_insert(latched);
+        self.last = Some(latched);
+        self.count = self.count.saturating_add(1);
+        let bit = 1 << fault.code();
+        let new = self.kinds & bit == 0;
+        self.kinds |= bit;
+        new
+    }
+
+    /// Whether something is latched.
+    pub const fn is_latched(&self) -> bool {
+        self.first.is_some()
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_the_ones_that_were_given_out() {
+        let codes: Vec<u32> = Fault::EXAMPLES.iter().map(Fault::code).collect();
+        assert_eq!(codes, [10, 11, 12, 13, 20, 21, 22, 30, 31, 32, 33, 34, 40, 41, 42, 43, 50]);
+        assert!(codes.iter().all(|&c| c < 64), "the latch keeps one bit per code");
+        let limits: Vec<u32> = Limit::ALL.iter().map(|l| l.code()).collect();
+        assert_eq!(limits, (100..109).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn every_fault_says_what_happened_and_what_clears_it() {
+        for fault in Fault::EXAMPLES {
+            assert!(!fault.what().is_empty() && !fault.to_string().is_empty());
+            assert!(fault.remedy().contains("`clear`"), "{fault:?}");
+        }
+        let texts: std::collections::HashSet<_> = Fault::EXAMPLES.iter().map(Fault::what).collect();
+        assert_eq!(texts.len(), Fault::EXAMPLES.len(), "one text per fault");
+    }
+
+    #[test]
+    fn the_latch_keeps_the_first_cause_and_counts_the_rest() {
+        let mut latch = FaultLatch::default();
+        let first = Fault::EncoderSilent { cable: 3, age_s: 0.06 };
+        assert!(latch.raise(first, 7, 70));
+        assert!(!latch.raise(Fault::EncoderSilent { cable: 4, age_s: 0.06 }, 8, 80), "the kind is known");
+        assert!(latch.raise(Fault::DrivesLost, 9, 90));
+        assert_eq!(latch.first, Some(Latched { fault: first, tick: 7, now_ns: 70 }));
+        assert_eq!(latch.last.unwrap().fault, Fault::DrivesLost);
+        assert_eq!((latch.count, latch.kinds), (3, 1 << 20 | 1 << 11));
+        latch.clear();
+        assert!(!latch.is_latched());
+        assert_eq!(latch.count, 0);
+    }
+
+    #[test]
+    fn a_list_that_is_full_keeps_the_first_ones() {
+        let mut list = FaultList::default();
+        (0..20).for_each(|bus| list.push(Fault::BusLost { bus }));
+        assert_eq!(list.iter().map(|f| f.detail()).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,291 @@
+//! Encoders: silent, jumping, sticking; and readings that may be used.
+
+use crate::config::GuardConfig;
+use crate::control::CableMask;
+use crate::control::fault::{Fault, FaultList};
+use crate::control::settings::seconds_to_ns;
+
+/// The newest cable lengths, as they came.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncoderReadings<'a> {
+    /// Cable lengths (m), one per cable.
+    pub lengths_m: &'a [f64],
+    /// Which of them were measured.
+    pub valid: CableMask,
+    /// When (ns).
+    pub capture_ns: u64,
+}
+
+/// What is known of one encoder.
+#[derive(Debug, Clone, Copy)]
+struct Track {
+    /// Last reading (m); `None` before the first one.
+    last_m: Option<f64>,
+    /// Its time (ns).
+    heard_ns: u64,
+    /// Since when the reading is exactly the same (ns).
+    same_since_ns: u64,
+    /// Least and largest length of the model's cable since then (m).
+    model_m: (f64, f64),
+    /// Length of the model's cable when the last reading came (m); `None` without a model.
+    model_at_reading_m: Option<f64>,
+}
+
+const BLANK: Track =
+    Track { last_m: None, heard_ns: 0, same_since_ns: 0, model_m: (0.0, 0.0), model_at_reading_m: None };
+
+/// Judges readings and bridges gaps.
+#[derive(Debug, Clone)]
+pub struct EncoderGuard {
+    jump_m: f64,
+    stuck_ns: u64,
+    stuck_motion_m: f64,
+    silent_ns: u64,
+    tracks: Vec<Track>,
+    lengths_m: Vec<f64>,
+    bridged: CableMask,
+}
+
+impl EncoderGuard {
+    /// For so many cables. Allocates.
+    pub fn new(config: &GuardConfig, cables: usize) -> Self {
+        Self {
+            jump_m: config.encoder_jump_m,
+            stuck_ns: seconds_to_ns(config.encoder_stuck_s),
+            stuck_motion_m: config.encoder_stuck_motion_m,
+            silent_ns: seconds_to_ns(config.encoder_silent_s),
+            tracks: vec![BLANK; cables],
+            lengths_m: vec![f64::NAN; cables],
+            bridged: CableMask::default(),
+        }
+    }
+
+    /// Lengths (m) that may be used after [`Self::check`]: readings, or for a missing one the last reading moved on with
+    /// the model's cable. NaN where nothing was ever heard.
+    pub fn lengths_m(&self) -> &[f64] {
+        &self.lengths_m
+    }
+
+    /// Cables whose length is bridged.
+    pub const fn bridged(&self) -> CableMask {
+        self.bridged
+    }
+
+    /// The first cable that was not heard within the limit at `now_ns`, with the age of its reading (s).
+    pub fn silent(&self, now_ns: u64) -> Option<(u16, f64)> {
+        self.tracks.iter().enumerate().find_map(|(cable, track)| {
+            let age_ns = now_ns.saturating_sub(track.heard_ns);
+            let age_s = if track.last_m.is_some() { age_ns as f64 * 1e-9 } else { f64::INFINITY };
+            (track.last_m.is_none() || age_ns > self.silent_ns).then_some((cable as u16, age_s))
+        })
+    }
+
+    /// Begins anew to compare readings with the model, whose past must not count.
+    pub fn restart(&mut self, now_ns: u64) {
+        for track in &mut self.tracks {
+            track.same_since_ns = now_ns;
+            track.model_m = (f64::INFINITY, f64::NEG_INFINITY);
+            track.model_at_reading_m = None;
+        }
+    }
+
+    /// Takes over readings. `model_m` are the cable lengths of the model (m) while one follows the arm. With `watch`
+    /// faults are raised, at most one of each kind per call; without it readings are only taken over. Does not allocate.
+    ///
+    /// - silent: the newest reading of a cable is older than `encoder_silent_s`;
+    /// - jump: two readings in a row differ by more than `encoder_jump_m`, or one is not a number;
+    /// - stuck: a reading stayed exactly the same for `encoder_stuck_s` while the model's cable moved through more than
+    ///   `encoder_stuck_motion_m`.
+    ///
+    /// A reading that jumped is not used in its tick; from the next one on it is what jumps are measured from.
+    pub fn check(
+        &mut self,
+        readings: &EncoderReadings<'_>,
+        now_ns: u64,
+        model_m: Option<&[f64]>,
+        watch: bool,
+        faults: &mut FaultList,
+    ) {
+        let (mut jump, mut stuck) = (None, None);
+        self.bridged = CableMask::default();
+        for (cable, track) in self.tracks.iter_mut().enumerate() {
+            let model = model_m.map(|lengths| lengths[cable]);
+            let reading = readings.lengths_m.get(cable).copied().filter(|_| readings.valid.contains(cable));
+            let new = reading.filter(|_| track.last_m.is_none() || readings.capture_ns > track.heard_ns);
+            let mut usable = None;
+            if let Some(length) = new {
+                let step_m = track.last_m.map_or(0.0, |last| length - last);
+                // Not `step > bound`: a reading that is not a number must not pass.
+                if !(step_m.abs() <= self.jump_m) {
+                    jump = jump.or(Some(Fault::EncoderJump { cable: cable as u16, step_m }));
+                }
+                if length.is_finite() && (step_m.abs() <= self.jump_m || !watch) {
+                    usable = Some(length);
+                }
+                if length.is_finite() {
+                    if track.last_m != Some(length) {
+                        track.same_since_ns = now_ns;
+                        track.model_m = (f64::INFINITY, f64::NEG_INFINITY);
+                    }
+                    // What the jump came from carries the estimate over this tick; what it went to is the new reference.
+                    if usable.is_none() {
+                        self.lengths_m[cable] = track.last_m.unwrap_or(length);
+                    }
+                    track.last_m = Some(length);
+                    track.heard_ns = readings.capture_ns;
+                    track.model_at_reading_m = model;
+                }
+            }
+            if let Some(model) = model {
+                track.model_m = (track.model_m.0.min(model), track.model_m.1.max(model));
+                let motion_m = track.model_m.1 - track.model_m.0;
+                if now_ns.saturating_sub(track.same_since_ns) >= self.stuck_ns && motion_m > self.stuck_motion_m {
+                    stuck = stuck.or(Some(Fault::EncoderStuck { cable: cable as u16, motion_m }));
+                }
+            }
+            match usable {
+                Some(length) => self.lengths_m[cable] = length,
+                None => {
+                    self.bridged.insert(cable);
+                    if let (None, Some(last)) = (new, track.last_m) {
+                        let moved = model.zip(track.model_at_reading_m).map_or(0.0, |(now, then)| now - then);
+                        self.lengths_m[cable] = last + moved;
+                    }
+                }
+            }
+        }
+        if watch {
+            let silent = self.silent(now_ns).map(|(cable, age_s)| Fault::EncoderSilent { cable, age_s });
+            [silent, jump, stuck].into_iter().flatten().for_each(|fault| faults.push(fault));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn guard() -> EncoderGuard {
+        let config = GuardConfig {
+            tension_rate_npsmax: f64::INFINITY,
+            box_tolerance_n: 1e-9,
+            encoder_jump_m: 0.01,
+            encoder_stuck_s: 0.5,
+            encoder_stuck_motion_m: 0.002,
+            encoder_silent_s: 0.05,
+        };
+        EncoderGuard::new(&config, 2)
+    }
+
+    fn feed(g: &mut EncoderGuard, ms: u64, lengths: [f64; 2], valid: u128, model: Option<[f64; 2]>) -> Vec<Fault> {
+        let readings = EncoderReadings { lengths_m: &lengths, valid: CableMask(valid), capture_ns: ms * MS };
+        let mut faults = FaultList::default();
+        g.check(&readings, ms * MS, model.as_ref().map(|m| &m[..]), true, &mut faults);
+        faults.iter().collect()
+    }
+
+    #[test]
+    fn sound_readings_pass_unchanged() {
+        let mut g = guard();
+        for k in 1..200u64 {
+            let l = [0.65 + 1e-4 * k as f64, 0.6];
+            assert_eq!(feed(&mut g, 10 * k, l, 3, Some(l)), []);
+            assert_eq!(g.lengths_m(), l);
+            assert_eq!(g.bridged(), CableMask(0));
+        }
+    }
+
+    #[test]
+    fn a_silent_encoder_is_bridged_by_the_model_and_then_a_fault() {
+        let mut g = guard();
+        assert_eq!(feed(&mut g, 10, [0.65, 0.6], 3, Some([0.650, 0.6])), []);
+        for k in 2..=6 {
+            let model = [0.650 + 1e-3 * (k - 1) as f64, 0.6];
+            assert_eq!(feed(&mut g, 10 * k, [f64::NAN, 0.6], 2, Some(model)), [], "{k}");
+            assert!((g.lengths_m()[0] - model[0]).abs() < 1e-15);
+            assert_eq!(g.bridged(), CableMask(1));
+        }
+        let faults = feed(&mut g, 70, [f64::NAN, 0.6], 2, Some([0.65, 0.6]));
+        assert!(matches!(faults[..], [Fault::EncoderSilent { cable: 0, .. }]), "{faults:?}");
+        assert_eq!(feed(&mut g, 80, [0.65, 0.6], 3, Some([0.65, 0.6])), [], "it may come back");
+    }
+
+    #[test]
+    fn a_stale_message_is_silence_however_often_it_is_handed_over() {
+        let mut g = guard();
+        let lengths = [0.65, 0.6];
+        let readings = EncoderReadings { lengths_m: &lengths, valid: CableMask(3), capture_ns: 10 * MS };
+        for ms in (10..=60).step_by(10) {
+            let mut faults = FaultList::default();
+            g.check(&readings, ms * MS, None, true, &mut faults);
+            assert!(faults.is_empty(), "{ms} ms");
+        }
+        let mut faults = FaultList::default();
+        g.check(&readings, 61 * MS, None, true, &mut faults);
+        assert!(matches!(faults.iter().next(), Some(Fault::EncoderSilent { cable: 0, .. })));
+    }
+
+    #[test]
+    fn an_encoder_never_heard_is_silent_for_ever() {
+        let mut g = guard();
+        feed(&mut g, 10, [0.65, 0.0], 1, None);
+        assert_eq!(g.silent(10 * MS), Some((1, f64::INFINITY)));
+        assert!(g.lengths_m()[1].is_nan());
+    }
+
+    #[test]
+    fn a_jump_is_a_fault_and_its_reading_is_not_used() {
+        let mut g = guard();
+        feed(&mut g, 10, [0.65, 0.6], 3, None);
+        let faults = feed(&mut g, 20, [0.65, 0.611], 3, None);
+        assert!(matches!(faults[..], [Fault::EncoderJump { cable: 1, step_m }] if (step_m - 0.011).abs() < 1e-12));
+        assert_eq!(g.lengths_m(), [0.65, 0.6]);
+        assert_eq!(feed(&mut g, 30, [0.65, 0.6115], 3, None), [], "jumps are measured from where it went");
+        assert_eq!(g.lengths_m(), [0.65, 0.6115]);
+    }
+
+    #[test]
+    fn a_reading_that_is_not_a_number_is_a_fault_and_is_not_used() {
+        let mut g = guard();
+        feed(&mut g, 10, [0.65, 0.6], 3, None);
+        let faults = feed(&mut g, 20, [f64::NAN, 0.6], 3, None);
+        assert!(matches!(faults[..], [Fault::EncoderJump { cable: 0, .. }]), "{faults:?}");
+        assert_eq!(g.lengths_m(), [0.65, 0.6]);
+    }
+
+    #[test]
+    fn an_encoder_that_sticks_while_the_model_moves_is_a_fault() {
+        let mut g = guard();
+        g.restart(0);
+        let first = (0..100u64).find_map(|k| {
+            let x = 1e-4 * k as f64;
+            feed(&mut g, 10 * k + 10, [0.65, 0.6 + x], 3, Some([0.65 + x, 0.6 + x])).first().map(|f| (k, *f))
+        });
+        let Some((k, Fault::EncoderStuck { cable: 0, motion_m })) = first else { panic!("{first:?}") };
+        assert_eq!(k, 50, "after encoder_stuck_s");
+        assert!(motion_m > 0.002);
+    }
+
+    #[test]
+    fn an_encoder_of_an_arm_at_rest_does_not_stick() {
+        let mut g = guard();
+        g.restart(0);
+        for k in 1..1000 {
+            assert_eq!(feed(&mut g, 10 * k, [0.65, 0.6], 3, Some([0.6501, 0.6])), []);
+        }
+    }
+
+    #[test]
+    fn nothing_is_a_fault_while_nobody_watches() {
+        let mut g = guard();
+        for (ms, lengths, valid) in [(10, [0.6, 0.6], 3), (20, [0.7, 0.5], 3), (900, [0.7, 0.5], 0)] {
+            let readings = EncoderReadings { lengths_m: &lengths, valid: CableMask(valid), capture_ns: ms * MS };
+            let mut faults = FaultList::default();
+            g.check(&readings, ms * MS, None, false, &mut faults);
+            assert!(faults.is_empty());
+        }
+        assert_eq!(g.lengths_m(), [0.7, 0.5]);
+    }
+}

@@ -1,0 +1,76 @@
+//! Everything that the cycle is built from.
+
+use crate::config::{ArmConfig, Config, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig};
+
+/// Settings of a [`super::Cycle`], checked where they were read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// The arm.
+    pub arm: ArmConfig,
+    /// Period and overrun policy.
+    pub timing: LoopConfig,
+    /// Planner; its period is the loop's.
+    pub planner: PlannerConfig,
+    /// Weights of both kinds of target.
+    pub weights: WeightsConfig,
+    /// Time-out and innovation limits.
+    pub observer: ObserverConfig,
+    /// Guard.
+    pub guard: GuardConfig,
+    /// Tensions (N), one per cable, to which arming brings the cables and under which the observer settles; the safe
+    /// values unless a task must start from another equilibrium.
+    pub start_tensions_n: Vec<f64>,
+    /// Home: average curvatures (1/m), (y, z) segment by segment; the straight arm unless told otherwise.
+    pub home_curvatures_1pm: Vec<f64>,
+    /// Home is reached when every curvature is this near (1/m); the closed loop's own error there is about 0.02.
+    pub home_tolerance_1pm: f64,
+    /// Planning steps that may fail in a row before it is a fault; the last tensions are kept meanwhile.
+    pub singular_plans_max: u32,
+}
+
+impl Settings {
+    /// From the daemon's configuration.
+    pub fn new(config: &Config) -> Self {
+        Self::from_parts(
+            config.arm.clone(),
+            config.timing.clone(),
+            config.planner.clone(),
+            config.weights.clone(),
+            config.observer.clone(),
+            config.guard.clone(),
+        )
+    }
+
+    /// From the parts that matter; start and home have their defaults.
+    pub fn from_parts(
+        arm: ArmConfig,
+        timing: LoopConfig,
+        planner: PlannerConfig,
+        weights: WeightsConfig,
+        observer: ObserverConfig,
+        guard: GuardConfig,
+    ) -> Self {
+        Self {
+            start_tensions_n: vec![arm.tension_n_min; arm.cable_count()],
+            home_curvatures_1pm: vec![0.0; 2 * arm.segments.len()],
+            home_tolerance_1pm: 0.05,
+            singular_plans_max: 5,
+            arm,
+            timing,
+            planner,
+            weights,
+            observer,
+            guard,
+        }
+    }
+
+    /// The safe tension of every cable (N): the least one of its box.
+    pub fn safe_tension_n(&self) -> f64 {
+        self.arm.tension_n_min
+    }
+}
+
+/// Nanoseconds of a duration in seconds; negative and NaN give 0.
+pub(super) fn seconds_to_ns(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
