@@ -2,6 +2,7 @@
 
 mod check;
 mod plan;
+mod record;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

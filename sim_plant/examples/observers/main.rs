@@ -13,7 +13,9 @@ mod table;
 
 use clap::{Parser, ValueEnum};
 use closed_loop::{Case, Outcome, Settings};
-use sinew::config::{BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch};
+use sinew::config::{
+    BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch,
+};
 use sinew::integrator::Scheme;
 use std::sync::Mutex;
 
@@ -156,8 +158,7 @@ impl Arguments {
             clearance_m: self.clearance,
             warning_distance_m: if self.gamma > 0.0 { self.activation } else { 0.01 },
             warning_hysteresis_m: 0.005,
-            barrier: (self.gamma > 0.0)
-                .then_some(BarrierConfig { gamma: self.gamma, activation_m: self.activation }),
+            barrier: (self.gamma > 0.0).then_some(BarrierConfig { gamma: self.gamma, activation_m: self.activation }),
             swarm: SwarmConfig {
                 particles_normal: 15,
                 particles_uniform: 5,

@@ -29,9 +29,8 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
                 .reduce(f64::max)
         };
         let mm = |case: Case, f: &dyn Fn(&Outcome) -> f64| worst(case, f).map(|x| format!("{:.2}", 1e3 * x));
-        let pair = |case: Case| {
-            Some(format!("{} / {} mm", mm(case, &|o| o.tip_error[0])?, mm(case, &|o| o.tip_error[1])?))
-        };
+        let pair =
+            |case: Case| Some(format!("{} / {} mm", mm(case, &|o| o.tip_error[0])?, mm(case, &|o| o.tip_error[1])?));
         let clearance = 1e3 * arguments.clearance;
         if arguments.scenario == crate::ScenarioName::Tip {
             row("holding the start pose, tip error".into(), mm(Case::Hold, &|o| o.tip_error[2]).map(|x| x + " mm"));
@@ -48,10 +47,7 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
         let along = worst(Case::Obstacles, &|o| -o.distance_arm.0);
         row("same: smallest true surface distance at the points".into(), signed(&points));
         row("same: smallest true surface distance along the arm".into(), signed(&along));
-        row(
-            "same: tip estimate's error, max".into(),
-            mm(Case::Obstacles, &|o| o.estimate_error).map(|x| x + " mm"),
-        );
+        row("same: tip estimate's error, max".into(), mm(Case::Obstacles, &|o| o.estimate_error).map(|x| x + " mm"));
         row(
             "same: quaternion error, max".into(),
             worst(Case::Obstacles, &|o| o.quaternion_error).map(|x| format!("{x:.4}")),
