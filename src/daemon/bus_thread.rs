@@ -32,6 +32,8 @@ const FRAMES_PER_TURN: usize = 128;
 const RETRY_NS: u64 = 1_000_000_000;
 /// In lockstep: real time without a frame after which what is missing is given up (ns).
 const SILENCE_NS: u64 = 1_000_000_000;
+/// Silence that shows that all answers have come (ns).
+const QUIET_NS: u64 = 50_000_000;
 /// Interval of the statistics (ns).
 const STATISTICS_NS: u64 = 500_000_000;
 
@@ -162,13 +164,11 @@ impl BusThread {
     }
 
     /// Lockstep: brings the drives up in real time, then sends the one cycle whose answers are the encoders of tick 0.
-    /// How many drives were operational at the end, on failure.
-    pub(crate) fn bring_up(
-        &mut self,
-        writer: &mut CycleWriter,
-        within: Duration,
-        progress: &Progress,
-    ) -> Result<(), usize> {
+    /// The sender of cycles, or how many drives were operational when the time was over.
+    ///
+    /// Meanwhile the master sends cycles of zero torque, for the clock of a plant in lockstep goes by SYNC. Nothing moves
+    /// in it before drives are enabled, so it does not matter how many there are.
+    pub(crate) fn bring_up(&mut self, within: Duration, progress: &Progress) -> Result<CycleWriter, usize> {
         let begun_ns = monotonic_ns();
         self.master.start(begun_ns);
         loop {
@@ -185,13 +185,24 @@ impl BusThread {
             self.retry(now_ns, state.failed);
             self.statistics(now_ns);
         }
+        // Answers to the master's own cycles must not be taken for those to the next one.
+        let Some(mut writer) = self.master.take_writer() else { return Err(0) };
+        let mut quiet_since_ns = monotonic_ns();
+        while monotonic_ns().saturating_sub(quiet_since_ns) < QUIET_NS {
+            if self.listen(monotonic_ns()).frames > 0 {
+                quiet_since_ns = monotonic_ns();
+            }
+        }
         self.epoch_ns = monotonic_ns();
+        self.published = self.decoder.cycle();
         self.update_input();
-        // The decoder counts from its own number of the cycle; set before the SYNC leaves.
-        self.base_cycle = self.decoder.cycle() + 1;
-        let sent = writer.write_cycle(&[]);
-        self.base_cycle = sent.cycle;
-        Ok(())
+        self.base_cycle = writer.write_cycle(&[]).cycle;
+        Ok(writer)
+    }
+
+    /// Number of drives.
+    pub(crate) fn drive_count(&self) -> usize {
+        self.memory.len()
     }
 
     /// Starts the drives (real time).

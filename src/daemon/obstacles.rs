@@ -185,7 +185,7 @@ impl PairReader {
 
     /// The obstacles as last placed.
     pub fn pair(&self) -> &ObstaclePair {
-        &self.built.peek_output_buffer().pair
+        &self.built.output_buffer().pair
     }
 
     /// Whether the obstacle of an index is parked, hence in no report.

@@ -108,7 +108,7 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let sync_timeout_us = microseconds(drives.sync_timeout_s);
     let mut setups = Vec::with_capacity(drives.drives.len());
     for drive in &drives.drives {
-        let node = NodeId::new(drive.node_id).ok_or(DaemonError::NodeId { found: drive.node_id })?;
+        let node = NodeId::new(drive.node_id).map_err(|_| DaemonError::NodeId { found: drive.node_id })?;
         let permille_per_n = 1000.0 * drive.torque_nm(1.0) / drive.rated_torque_nm;
         let safe = f64::from(drive.sign) * (drives.safe_tension_n * permille_per_n).round();
         let safe = safe.clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16;
@@ -129,7 +129,7 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
         setups.push(setup);
     }
     let own = (1..=127).rev().find(|id| drives.drives.iter().all(|drive| drive.node_id != *id));
-    let own = own.and_then(NodeId::new).ok_or(DaemonError::NoNodeLeft)?;
+    let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
     master.heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);

@@ -2,7 +2,6 @@
 //! the caches, the lazily made tables of libraries and the branch predictor know the way and the controller itself is as
 //! new.
 
-use super::observer::Follower;
 use crate::collision::Shape;
 use crate::config::{Config, ShapeConfig};
 use crate::control::obstacles::Placement;
@@ -10,6 +9,7 @@ use crate::control::{
     CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request, Settings,
     Target, TargetInput, TickInputs,
 };
+use crate::estimator::Observer;
 use crate::model::Arm;
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -29,8 +29,8 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
     settings.observer.settle_innovation_rad = 10.0;
     settings.observer.settle_rate_radps = 10.0;
     settings.start_tensions_n.fill(settings.arm.tension_n_min);
-    let observed = Config { observer: settings.observer.clone(), ..config.clone() };
-    let mut cycle = Cycle::new(&settings, Follower::new(&observed));
+    let observer = Observer::new(&config.arm, &settings.observer, period_s);
+    let mut cycle = Cycle::new(&settings, observer);
 
     let arm = Arm::new(&config.arm);
     let straight = arm.straight();
