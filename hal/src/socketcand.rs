@@ -6,11 +6,12 @@
 //! It has no authentication, as the protocol has none: bind it to 127.0.0.1 only.
 
 use crate::can::{CanBus, Frame, Id, Kind, SendError};
+use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -75,6 +76,28 @@ impl Drop for Server {
     }
 }
 
+/// Frames that the client sent and that its receiving handle, being another one, will see: no client gets its own
+/// frames back. They come in the order of sending; what is older than a match was lost.
+#[derive(Clone, Default)]
+struct Own(Arc<Mutex<VecDeque<Frame>>>);
+
+impl Own {
+    fn expect(&self, frame: Frame) {
+        let mut own = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if own.len() == 1024 {
+            own.pop_front();
+        }
+        own.push_back(frame);
+    }
+
+    fn is_echo(&self, frame: &Frame) -> bool {
+        let mut own = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(at) = own.iter().position(|f| f == frame) else { return false };
+        own.drain(..=at);
+        true
+    }
+}
+
 /// One client, until it leaves or the server ends.
 fn serve(stream: TcpStream, mut bus: Box<dyn CanBus>, stop: &AtomicBool) {
     if let Err(error) = talk(stream, &mut *bus, stop) {
@@ -89,6 +112,7 @@ fn talk(mut stream: TcpStream, bus: &mut dyn CanBus, stop: &AtomicBool) -> io::R
     stream.write_all(b"< hi >")?;
     let gone = Arc::new(AtomicBool::new(false));
     let mut forward: Option<JoinHandle<()>> = None;
+    let own = Own::default();
     let mut text = Vec::new();
     let mut chunk = [0; 512];
     let result = loop {
@@ -109,12 +133,18 @@ fn talk(mut stream: TcpStream, bus: &mut dyn CanBus, stop: &AtomicBool) -> io::R
                 Some(Line::RawMode) => {
                     stream.write_all(b"< ok >")?;
                     if forward.is_none() {
-                        let (out, handle, gone) = (stream.try_clone()?, bus.duplicate()?, gone.clone());
-                        forward = Some(std::thread::spawn(move || forward_frames(out, handle, &gone)));
+                        let (out, handle, gone, own) =
+                            (stream.try_clone()?, bus.duplicate()?, gone.clone(), own.clone());
+                        forward = Some(std::thread::spawn(move || forward_frames(out, handle, &gone, &own)));
                     }
                 }
                 Some(Line::Echo) => stream.write_all(b"< echo >")?,
-                Some(Line::Send(frame)) => send(bus, &frame),
+                Some(Line::Send(frame)) => {
+                    if forward.is_some() {
+                        own.expect(frame);
+                    }
+                    send(bus, &frame);
+                }
                 None => stream.write_all(b"< error unknown command >")?,
             }
         }
@@ -145,10 +175,13 @@ fn send(bus: &mut dyn CanBus, frame: &Frame) {
 }
 
 /// From the bus to the client.
-fn forward_frames(mut out: TcpStream, mut bus: Box<dyn CanBus>, gone: &AtomicBool) {
+fn forward_frames(mut out: TcpStream, mut bus: Box<dyn CanBus>, gone: &AtomicBool, own: &Own) {
     while !gone.load(Ordering::Acquire) {
         match bus.receive(TICK) {
             Ok(Some(received)) => {
+                if own.is_echo(&received.frame) {
+                    continue;
+                }
                 if let Some(line) = format_frame(&received.frame)
                     && out.write_all(line.as_bytes()).is_err()
                 {
@@ -237,7 +270,9 @@ mod tests {
             let line = format!("< send {id:03X} {:X} {} >", data.len(), bytes.join(" "));
             let frame = Frame::classic(Id::Standard(id), &data).unwrap();
             prop_assert_eq!(parse(line.as_bytes()), Some(Line::Send(frame)));
-            prop_assert!(format_frame(&frame).unwrap().starts_with(&format!("< frame {id:03X} ")));
+            let head = format!("< frame {id:03X} ");
+            let same = format_frame(&frame).unwrap().starts_with(&head);
+            prop_assert!(same);
         }
     }
 }

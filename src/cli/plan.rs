@@ -1,5 +1,6 @@
 //! `sinew plan`.
 
+use super::record::PlanRecording;
 use super::{Outcome, progress_bar};
 use clap::{Args, ValueEnum};
 use miette::IntoDiagnostic;
@@ -73,13 +74,20 @@ impl Plan {
     fn single(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
         let mut run = Run::new(scenario, seed).into_diagnostic()?;
         let mut collector = run.collector();
+        let mut recording =
+            self.out.as_deref().map(|path| PlanRecording::create(path, &run)).transpose().into_diagnostic()?;
         let bar = progress_bar(run.total(), &scenario.name);
         let begin = Instant::now();
         let mut clock = || begin.elapsed().as_nanos() as u64;
         let mut failed = None;
         while run.steps() < run.total() {
             match run.step(&mut clock) {
-                Ok(step) => run.collect(&step, &mut collector),
+                Ok(step) => {
+                    run.collect(&step, &mut collector);
+                    if let Some(recording) = &mut recording {
+                        recording.write(&run, &step).into_diagnostic()?;
+                    }
+                }
                 Err(error) => {
                     collector.add_fault(error.to_string());
                     failed = Some(error);
@@ -89,6 +97,9 @@ impl Plan {
             bar.inc(1);
         }
         bar.finish_and_clear();
+        if let Some(recording) = recording {
+            recording.finish().into_diagnostic()?;
+        }
         let eta = scenario.planner.lookahead_s;
         let summary = collector.summary(&scenario.name, seed, eta, eta, false);
         if self.json {
@@ -97,11 +108,15 @@ impl Plan {
             println!("{}", summary_table(&summary));
             println!("{}", figures_table(&scenario.figures, &summary));
         }
-        let contact = scenario.planner.avoidance && collector.contact();
+        let planner = &scenario.planner;
+        let contact = planner.avoidance && collector.contact(planner.body, contact_tolerance(planner.warning));
         Ok(if failed.is_some() || contact { Outcome::Failed } else { Outcome::Done })
     }
 
     fn all(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
+        if self.out.is_some() {
+            miette::bail!("--out records one run; {} has {} variations", scenario.name, scenario.sweep.len());
+        }
         let bar = progress_bar(0, &scenario.name);
         let begin = Instant::now();
         let rows = sweep(scenario, seed, &mut || begin.elapsed().as_nanos() as u64, &mut |index, step, steps| {
@@ -120,5 +135,14 @@ impl Plan {
             }
         }
         Ok(Outcome::Done)
+    }
+}
+
+/// How deep a plan may lie inside an obstacle before it is a contact (m): the solver's tolerance, or the softness of the
+/// penalty where nothing but the swarm keeps the distance.
+fn contact_tolerance(warning: WarningBranch) -> f64 {
+    match warning {
+        WarningBranch::Seeded | WarningBranch::Complementarity => 1e-6,
+        WarningBranch::Swarm | WarningBranch::StandardSwarm => 0.5e-3,
     }
 }

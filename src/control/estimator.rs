@@ -1,12 +1,19 @@
-//! What the cycle needs of an observer; the real one is `sinew::estimator`, tests use the model itself.
+//! What the cycle needs of an observer; the real one is [`crate::estimator::Observer`], tests use the model itself.
 
+use crate::estimator::Observer;
 use crate::model::State;
 
 /// What an update found.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Estimate {
     /// Largest |z| (rad): the bend angles by which model and measurement differ.
     pub innovation_max_rad: f64,
+    /// Its growth within the configured window (rad).
+    pub innovation_growth_rad: f64,
+    /// The largest |z| is beyond its bound.
+    pub beyond_bound: bool,
+    /// The growth is beyond its limit.
+    pub growing: bool,
     /// Innovation and rates have stayed small for the configured time.
     pub settled: bool,
 }
@@ -30,14 +37,20 @@ pub trait Estimator {
     /// [`EstimatorFailure::NoStart`].
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure>;
 
-    /// Advances by one period to the time of `lengths_m` (m), with the tensions (N) that acted since the last update.
+    /// Advances by one period to the time of `lengths_m` (m). `sent_n` are the tensions (N) sent in the tick before, zero
+    /// where the drives gave no torque; `measured` tells which lengths are readings, the others are bridged by the model.
     ///
     /// # Errors
     /// [`EstimatorFailure::Step`].
-    fn update(&mut self, applied_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure>;
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure>;
 
-    /// The estimate at the time for which the next tensions are planned.
+    /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
+
+    /// The estimate at the time when tensions sent now begin to act: what is planned from.
+    fn predicted(&self) -> &State {
+        self.state()
+    }
 
     /// Tensions (N) that act beside the commanded ones; empty for none.
     fn disturbance_n(&self) -> &[f64];
@@ -50,5 +63,46 @@ pub trait Estimator {
     /// Disturbance as moments beta (N m), (y, z) segment by segment, for the record; may be empty.
     fn disturbance_nm(&self) -> &[f64] {
         &[]
+    }
+}
+
+/// The real one. [`Observer::start`] still allocates a few short vectors, once per arming.
+impl Estimator for Observer {
+    fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure> {
+        Self::start(self, lengths_m, &[], tensions_n).map_err(|_| EstimatorFailure::NoStart)
+    }
+
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure> {
+        let update = Self::update(self, sent_n, lengths_m, measured);
+        if update.failed {
+            return Err(EstimatorFailure::Step);
+        }
+        Ok(Estimate {
+            innovation_max_rad: update.innovation_max,
+            innovation_growth_rad: update.innovation_growth,
+            beyond_bound: update.beyond_bound,
+            growing: update.growing,
+            settled: update.settled,
+        })
+    }
+
+    fn state(&self) -> &State {
+        Self::state(self)
+    }
+
+    fn predicted(&self) -> &State {
+        Self::predicted(self)
+    }
+
+    fn disturbance_n(&self) -> &[f64] {
+        Self::disturbance(self)
+    }
+
+    fn innovation_rad(&self) -> &[f64] {
+        Self::innovation(self)
+    }
+
+    fn disturbance_nm(&self) -> &[f64] {
+        Self::disturbance_moments(self)
     }
 }

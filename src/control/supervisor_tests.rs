@@ -77,10 +77,10 @@ fn in_mode(mode: Mode) -> Supervisor {
     }
     s.step(&well());
     match mode {
-        Mode::Tracking => drop(s.step(&Observed { request: Some(Request::Track), ..well() })),
-        Mode::Homing => drop(s.step(&Observed { request: Some(Request::Home), ..well() })),
-        Mode::Stopping => drop(s.step(&Observed { request: Some(Request::Stop), ..well() })),
-        Mode::Faulted => drop(s.step(&with(SILENT))),
+        Mode::Tracking => _ = s.step(&Observed { request: Some(Request::Track), ..well() }),
+        Mode::Homing => _ = s.step(&Observed { request: Some(Request::Home), ..well() }),
+        Mode::Stopping => _ = s.step(&Observed { request: Some(Request::Stop), ..well() }),
+        Mode::Faulted => _ = s.step(&with(SILENT)),
         _ => {}
     }
     assert_eq!(s.mode(), mode);
@@ -375,7 +375,9 @@ fn late_ticks_hold_then_ramp_then_fault_and_a_tick_in_time_ends_it() {
 fn late_ticks_without_planning_do_not_count() {
     for mode in [Mode::Disarmed, Mode::Starting, Mode::Stopping] {
         let mut s = in_mode(mode);
-        (0..20).for_each(|_| drop(s.step(&Observed { late: true, progress: Progress::Settling, ..well() })));
+        for _ in 0..20 {
+            s.step(&Observed { late: true, progress: Progress::Settling, ..well() });
+        }
         assert_eq!((s.mode(), s.late_in_row()), (mode, 0));
     }
 }

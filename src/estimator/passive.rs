@@ -14,6 +14,16 @@ use crate::math::block_tridiagonal::BLOCK;
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
 
+/// Spectral radius of the observer's own integrator, whatever the planner's: encoder steps excite the highest modes,
+/// and with the arm's 0.8 they ring on in the accelerations that the planner starts from. With 0 the loop is stable at
+/// a period of 20 ms where it diverged within a second with 0.8, and a slow oscillation of the held arm at K = 3 EI/L
+/// grows half as fast.
+const RHO_INF: f64 = 0.0;
+/// Damping of the observer's model over the arm's. Cables do not see torsion: an error of it swings on in the model at
+/// a few per cent of critical damping, the planner answers it, and the answer drives the arm's own torsion. With more
+/// damping the model's torsion follows its load and forgets its own swings, while bending is measured anyway. Tip
+/// example with obstacles, seed 1, K = 3 EI/L, first 25 s: the tip estimate's largest error falls from 24.8 to 2.5 mm.
+const DAMPING_RATIO: f64 = 2.5;
 /// Stop of the iteration: norm of the coordinates' correction (m, 1). A thousandth of an encoder step moves the tip
 /// by more than this.
 const TOLERANCE: f64 = 1e-8;
@@ -92,7 +102,10 @@ pub(super) fn usable(lengths: &[f64], valid: &[bool], cable: usize) -> bool {
 impl Observer {
     /// Builds all buffers; `period_s` is the time between two updates. Allocates.
     pub fn new(arm_config: &ArmConfig, config: &ObserverConfig, period_s: f64) -> Self {
-        let arm = Arm::new(arm_config);
+        let mut arm = Arm::new(arm_config);
+        for element in &mut arm.elements {
+            element.damping *= DAMPING_RATIO;
+        }
         let (n, nc, angles) = (arm.node_count(), arm.cable_count(), 2 * arm.segment_count());
         let space = CableSpace::new(&arm);
         let stiffness: Vec<f64> = arm_config
@@ -103,7 +116,7 @@ impl Observer {
         let damper = stiffness.iter().map(|k| k * config.damping_s / (config.filter_time_s + period_s)).collect();
         let straight = State::at_rest(arm.straight());
         Self {
-            scheme: Scheme::new(arm_config.rho_inf),
+            scheme: Scheme::new(RHO_INF),
             period: period_s,
             stepper: Stepper::new(&arm),
             full: space.clone(),
@@ -166,7 +179,14 @@ impl Observer {
         &self.z
     }
 
-    /// The model.
+    /// Continues from a state known otherwise, without disturbance and memory. Does not allocate.
+    pub fn resume(&mut self, state: &State) {
+        self.reset();
+        self.state.copy_from(state);
+        self.settle_prediction();
+    }
+
+    /// The observer's model: the configured arm with the observer's damping.
     pub fn arm(&self) -> &Arm {
         &self.arm
     }

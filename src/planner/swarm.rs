@@ -66,7 +66,7 @@ pub struct Pairs<'a> {
 pub enum Variant {
     /// Algorithm 1.
     Improved,
-    /// (29) alone, uniform start, without seeds among the particles but the incumbent kept as an answer.
+    /// (29) alone, uniform start, no seeds among the particles; the answer is still never worse than a seed.
     Standard,
 }
 
@@ -133,9 +133,13 @@ impl Swarm {
     ) -> Report {
         let n = self.n;
         let random = config.particles_normal + config.particles_uniform;
-        let m = random + seeds.len();
-        assert!(m <= self.columns, "{m} particles, room for {}", self.columns);
-        self.initialise(variant, config, lower, upper, seeds, rng);
+        assert!(random + seeds.len() <= self.columns, "more particles than the room for {}", self.columns);
+        // The standard swarm knows no seeds: they are judged against its answer at the end.
+        let (m, late) = match variant {
+            Variant::Improved => (random + seeds.len(), &[][..]),
+            Variant::Standard => (random, seeds),
+        };
+        self.initialise(m, variant, config, lower, upper, seeds, rng);
 
         let mut global = (f64::INFINITY, usize::MAX);
         let mut report = Report {
@@ -174,15 +178,15 @@ impl Swarm {
             let gain = before - global.0;
             stall = if gain > config.tolerance * global.0.abs() { 0 } else { stall + 1 };
             if report.sweeps >= config.sweeps_max {
-                return report;
+                break;
             }
             if stall >= config.stall_sweeps {
                 report.status = Status::Stalled;
-                return report;
+                break;
             }
             if stop() {
                 report.status = Status::BudgetSpent;
-                return report;
+                break;
             }
             let chaotic = match variant {
                 Variant::Standard => 0,
@@ -194,11 +198,47 @@ impl Swarm {
             };
             self.advance(m, chaotic, report.sweeps, config, lower, upper, rng);
         }
+        if !late.is_empty() {
+            self.judge(late, lower, upper, quadratic, pairs, config.penalty, strict, &mut report);
+        }
+        report
+    }
+
+    /// Takes the best of `seeds` for the answer where it beats it.
+    fn judge(
+        &mut self,
+        seeds: &[&[f64]],
+        lower: &[f64],
+        upper: &[f64],
+        quadratic: &Quadratic,
+        pairs: &Pairs<'_>,
+        nu: f64,
+        strict: Option<f64>,
+        report: &mut Report,
+    ) {
+        let m = seeds.len();
+        for (j, seed) in seeds.iter().enumerate() {
+            for d in 0..self.n {
+                self.position[d * m + j] = seed[d].clamp(lower[d], upper[d]);
+            }
+        }
+        self.evaluate(m, quadratic, pairs, nu, strict);
+        report.evaluations += m;
+        for j in 0..m {
+            if self.cost[j] < report.cost {
+                report.cost = self.cost[j];
+                report.seed = Some(j);
+                for d in 0..self.n {
+                    self.answer[d] = self.position[d * m + j];
+                }
+            }
+        }
     }
 
     /// (30)-(32), or the standard swarm's uniform start.
     fn initialise(
         &mut self,
+        m: usize,
         variant: Variant,
         config: &SwarmConfig,
         lower: &[f64],
@@ -207,7 +247,6 @@ impl Swarm {
         rng: &mut Xoshiro256PlusPlus,
     ) {
         let random = config.particles_normal + config.particles_uniform;
-        let m = random + seeds.len();
         for d in 0..self.n {
             let row = &mut self.position[d * m..(d + 1) * m];
             let span = upper[d] - lower[d];

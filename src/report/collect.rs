@@ -3,6 +3,7 @@
 use super::summary::{
     Approach, Count, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Tensions, Times, TipError,
 };
+use crate::config::BodyModel;
 use crate::planner::{Branch, Goal};
 use hdrhistogram::Histogram;
 use std::collections::BTreeMap;
@@ -53,6 +54,9 @@ pub struct Collector {
     faults: Vec<String>,
 }
 
+/// Depth from which a time counts as inside (m): an arm planned to touch lies within rounding of the surface.
+const INSIDE_M: f64 = 1e-6;
+
 #[derive(Debug, Clone)]
 struct Track {
     minimum: f64,
@@ -70,7 +74,8 @@ impl Track {
         if d < self.minimum {
             (self.minimum, self.at) = (d, t);
         }
-        if d < 0.0 {
+        let inside = d < -INSIDE_M;
+        if inside {
             if self.open {
                 if let Some(last) = self.inside.last_mut() {
                     last[1] = t;
@@ -79,7 +84,7 @@ impl Track {
                 self.inside.push([t, t]);
             }
         }
-        self.open = d < 0.0;
+        self.open = inside;
     }
 }
 
@@ -177,9 +182,13 @@ impl Collector {
         self.faults.push(fault);
     }
 
-    /// True if the arm touched an obstacle so far, along the whole arm.
-    pub fn contact(&self) -> bool {
-        self.along.iter().any(|t| t.minimum < 0.0)
+    /// True if the arm was inside an obstacle by more than `tolerance` (m), judged on a model of its body.
+    pub fn contact(&self, body: BodyModel, tolerance: f64) -> bool {
+        let tracks = match body {
+            BodyModel::Points => &self.points,
+            BodyModel::Arm => &self.along,
+        };
+        tracks.iter().any(|t| t.minimum < -tolerance)
     }
 
     /// The summary so far; `fixed_iterations` where convergence is not asked for.

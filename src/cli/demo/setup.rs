@@ -131,11 +131,11 @@ impl Setup {
         let tensions: Vec<String> = self.start_tensions.iter().map(f64::to_string).collect();
         let mut arguments =
             strings(&["run", "--config", &self.path("demo.toml"), "--record", &self.path("daemon.mcap")]);
-        arguments.extend(strings(&["--seed", &self.seed.to_string(), "--arm", "--track"]));
+        arguments.extend(strings(&["--seed", &self.seed.to_string(), "--arm-on-start", "--track-on-start"]));
         arguments.push(format!("--start-tensions={}", tensions.join(",")));
         if self.fast {
-            arguments.extend(strings(&["--lockstep", "--lockstep-target"]));
-            arguments.extend(strings(&["--lockstep-obstacles", &OBSTACLE_SOURCE.to_string()]));
+            arguments.extend(strings(&["--lockstep", "--await-target"]));
+            arguments.extend(strings(&["--await-obstacles", &OBSTACLE_SOURCE.to_string()]));
         }
         arguments
     }

@@ -34,6 +34,11 @@ struct Track {
 const BLANK: Track =
     Track { last_m: None, heard_ns: 0, same_since_ns: 0, model_m: (0.0, 0.0), model_at_reading_m: None };
 
+/// How far the model's cable moved since the track's last reading (m); 0 without a model.
+fn moved(model_m: Option<f64>, track: &Track) -> f64 {
+    model_m.zip(track.model_at_reading_m).map_or(0.0, |(now, then)| now - then)
+}
+
 /// Judges readings and bridges gaps.
 #[derive(Debug, Clone)]
 pub struct EncoderGuard {
@@ -93,7 +98,8 @@ impl EncoderGuard {
     /// faults are raised, at most one of each kind per call; without it readings are only taken over. Does not allocate.
     ///
     /// - silent: the newest reading of a cable is older than `encoder_silent_s`;
-    /// - jump: two readings in a row differ by more than `encoder_jump_m`, or one is not a number;
+    /// - jump: two readings in a row differ by more than `encoder_jump_m`, also from what the model's cable moved
+    ///   meanwhile; or one is not a number;
     /// - stuck: a reading stayed exactly the same for `encoder_stuck_s` while the model's cable moved through more than
     ///   `encoder_stuck_motion_m`.
     ///
@@ -115,11 +121,13 @@ impl EncoderGuard {
             let mut usable = None;
             if let Some(length) = new {
                 let step_m = track.last_m.map_or(0.0, |last| length - last);
-                // Not `step > bound`: a reading that is not a number must not pass.
-                if !(step_m.abs() <= self.jump_m) {
+                // A quick arm moves its cables by more than the bound in a tick, but then the model moves with it.
+                let unexplained_m = step_m.abs().min((step_m - moved(model, track)).abs());
+                let jumped = !length.is_finite() || unexplained_m > self.jump_m;
+                if jumped {
                     jump = jump.or(Some(Fault::EncoderJump { cable: cable as u16, step_m }));
                 }
-                if length.is_finite() && (step_m.abs() <= self.jump_m || !watch) {
+                if length.is_finite() && (!jumped || !watch) {
                     usable = Some(length);
                 }
                 if length.is_finite() {
@@ -148,8 +156,7 @@ impl EncoderGuard {
                 None => {
                     self.bridged.insert(cable);
                     if let (None, Some(last)) = (new, track.last_m) {
-                        let moved = model.zip(track.model_at_reading_m).map_or(0.0, |(now, then)| now - then);
-                        self.lengths_m[cable] = last + moved;
+                        self.lengths_m[cable] = last + moved(model, track);
                     }
                 }
             }
@@ -244,6 +251,17 @@ mod tests {
         assert_eq!(g.lengths_m(), [0.65, 0.6]);
         assert_eq!(feed(&mut g, 30, [0.65, 0.6115], 3, None), [], "jumps are measured from where it went");
         assert_eq!(g.lengths_m(), [0.65, 0.6115]);
+    }
+
+    #[test]
+    fn a_cable_that_moves_as_quickly_as_its_model_does_not_jump() {
+        let mut g = guard();
+        for k in 0..20u64 {
+            let x = 0.015 * k as f64;
+            assert_eq!(feed(&mut g, 10 * k + 10, [0.65 + x, 0.6], 3, Some([0.65 + x, 0.6])), [], "{k}");
+        }
+        let faults = feed(&mut g, 210, [0.65 + 0.3 + 0.011, 0.6], 3, Some([0.65 + 0.3, 0.6]));
+        assert!(matches!(faults[..], [Fault::EncoderJump { cable: 0, .. }]), "{faults:?}");
     }
 
     #[test]

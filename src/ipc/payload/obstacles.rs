@@ -1,6 +1,7 @@
 //! Obstacles as one source sees them.
 
 use super::{Header, MAX_OBSTACLES, MAX_VERTICES, ObstacleKind};
+use crate::config::ShapeConfig;
 use iceoryx2::prelude::ZeroCopySend;
 
 /// Bit of [`Obstacles::flags`]: the source withdraws; its obstacles are forgotten and it is no longer missed.
@@ -97,6 +98,27 @@ impl Obstacles {
         *place = obstacle;
         self.count += 1;
         true
+    }
+
+    /// Appends an obstacle with a configured shape in place of its own kind and dimensions; `false`, and nothing
+    /// changes, if the set is full.
+    #[must_use]
+    pub fn push_shape(&mut self, mut obstacle: Obstacle, shape: &ShapeConfig) -> bool {
+        let (kind, dimensions_m) = match shape {
+            ShapeConfig::Ball { radius_m } => (ObstacleKind::Ball, [*radius_m, 0.0, 0.0]),
+            ShapeConfig::Capsule { half_length_m, radius_m } => {
+                (ObstacleKind::Capsule, [*half_length_m, *radius_m, 0.0])
+            }
+            ShapeConfig::Box { half_extents_m } => (ObstacleKind::Box, *half_extents_m),
+            ShapeConfig::HalfSpace => (ObstacleKind::HalfSpace, [0.0; 3]),
+            ShapeConfig::Hull { points_m } => {
+                obstacle.dimensions_m = [0.0; 3];
+                return self.push_hull(obstacle, points_m);
+            }
+        };
+        obstacle.kind = kind.wire();
+        obstacle.dimensions_m = dimensions_m;
+        self.push(obstacle)
     }
 
     /// Appends a hull with its vertices (m, its own frame); `false`, and nothing changes, if either is full.

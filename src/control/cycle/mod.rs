@@ -3,22 +3,23 @@
 //! [`Cycle::tick`] is everything that must happen before the tensions are sent; [`Cycle::report`] completes the record
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
+mod report;
+
 use super::budget::{Deadline, Phase};
 use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
-use super::guard::{EncoderGuard, EncoderReadings, Floor, InnovationGuard, TensionGuard};
+use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
-use super::record::{Distance, Record};
+use super::record::Record;
 use super::settings::{Settings, seconds_to_ns};
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
 use super::target::{Target, TargetInput, lag_s};
-use super::{CABLES_MAX, CURVATURES_MAX, EventRing, NODES_MAX};
+use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
-use crate::math::quaternion::rotation;
 use crate::model::Arm;
 use crate::planner::{Goal, Inputs, Planner, Report, Status};
 use nalgebra::{Vector3, Vector4};
@@ -56,7 +57,7 @@ pub struct TickInputs<'a> {
     pub encoders: EncoderReadings<'a>,
     /// Measured tensions (N), for the record alone; empty for none, NaN where not valid.
     pub tensions_measured_n: &'a [f64],
-    /// Obstacles at `now_ns` and at `now_ns` plus the lookahead.
+    /// Obstacles when the tensions begin to act, [`Cycle::latency_s`] after `now_ns`, and one lookahead later.
     pub obstacles: &'a ObstaclePair,
     /// What the obstacle inputs ask for.
     pub demand: ObstacleDemand,
@@ -97,11 +98,11 @@ pub struct Cycle<E, P = Planner> {
     shape_planner: P,
     supervisor: Supervisor,
     encoders: EncoderGuard,
-    innovation: InnovationGuard,
     tensions: TensionGuard,
     ramp: Ramp,
     body: Body,
     period_ns: u64,
+    latency_s: f64,
     lead_tip_s: f64,
     lead_shape_s: f64,
 
@@ -112,6 +113,7 @@ pub struct Cycle<E, P = Planner> {
     last_was_tip: bool,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
+    measured: Vec<bool>,
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -128,7 +130,8 @@ impl<E: Estimator> Cycle<E> {
     /// With the real planners. Allocates; nothing else here does.
     ///
     /// # Panics
-    /// If the arm has more cables or segments than a record holds, which the configuration does not permit.
+    /// If the arm has more cables or segments than a record holds, which the configuration does not permit, or start
+    /// tensions or home curvatures are not as many as the arm needs.
     pub fn new(settings: &Settings, estimator: E) -> Self {
         let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
         let planner = |tension, change: &[f64]| Planner::new(&settings.arm, &settings.planner, tension, change);
@@ -150,31 +153,37 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let arm = Arm::new(&settings.arm);
         let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
         assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
+        let (start, home) = (settings.start_tensions_n.len(), settings.home_curvatures_1pm.len());
+        assert!(start == cables && home == 2 * segments, "{start} start tensions, {home} home curvatures");
         let planner = &settings.planner;
         let scheme = Scheme::new(settings.arm.rho_inf);
         let period_s = settings.timing.period_s;
         let weights = &settings.weights;
+        let latency_s = settings.observer.latency_ticks as f64 * period_s;
         let lead = |rate, pose| {
-            planner.lookahead_s + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
+            latency_s
+                + planner.lookahead_s
+                + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
         };
         Self {
             supervisor: Supervisor::new(&settings.timing, &settings.observer),
             encoders: EncoderGuard::new(&settings.guard, cables),
-            innovation: InnovationGuard::new(&settings.observer, period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
             period_ns: seconds_to_ns(period_s),
+            latency_s,
             lead_tip_s: lead(weights.tip.rate, weights.tip.pose),
             // One weight for curvatures and rates (46).
             lead_shape_s: lead(weights.shape.curvature, weights.shape.curvature),
             observing: false,
-            estimate: Estimate { innovation_max_rad: f64::NAN, settled: false },
+            estimate: Estimate::default(),
             held: Held::Shape([0.0; CURVATURES_MAX]),
             last_was_tip: false,
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
+            measured: vec![false; cables],
             safe: vec![settings.safe_tension_n(); cables],
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -193,7 +202,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         }
     }
 
-    /// How far ahead of the tick a target of this kind is wanted (s): lookahead plus lag, or plus `lead_s`.
+    /// Time (s) from a tick until its tensions act, beyond the ordinary cycle.
+    pub const fn latency_s(&self) -> f64 {
+        self.latency_s
+    }
+
+    /// How far ahead of the tick a target of this kind is wanted (s): latency, lookahead, and the lag of the rate weights
+    /// or `lead_s` in its place.
     pub const fn lead_s(&self, tip: bool) -> f64 {
         if tip { self.lead_tip_s } else { self.lead_shape_s }
     }
@@ -289,13 +304,22 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         self.applied.copy_from_slice(if torque { &self.sent } else { &self.zeros });
         if self.observing {
-            match self.estimator.update(&self.applied, self.encoders.lengths_m()) {
-                Ok(estimate) if self.estimator.state().is_finite() => {
+            let bridged = self.encoders.bridged();
+            self.measured.iter_mut().enumerate().for_each(|(cable, m)| *m = !bridged.contains(cable));
+            match self.estimator.update(&self.applied, self.encoders.lengths_m(), &self.measured) {
+                Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
-                    let watched = self.supervisor.mode() != Mode::Starting;
-                    let fault = if watched { self.innovation.check(estimate.innovation_max_rad) } else { None };
-                    fault.into_iter().for_each(|fault| faults.push(fault));
+                    if self.supervisor.mode() != Mode::Starting {
+                        let (z, growth) = (estimate.innovation_max_rad, estimate.innovation_growth_rad);
+                        if !z.is_finite() {
+                            faults.push(Fault::EstimateLost);
+                        } else if estimate.beyond_bound {
+                            faults.push(Fault::InnovationBound { innovation_rad: z });
+                        } else if estimate.growing {
+                            faults.push(Fault::InnovationGrowth { growth_rad: growth });
+                        }
+                    }
                 }
                 _ => faults.push(Fault::EstimateLost),
             }
@@ -315,7 +339,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                     self.observing = true;
                     self.estimate.settled = false;
                     self.encoders.restart(inputs.now_ns);
-                    self.innovation.reset();
                 }
                 _ => faults.push(Fault::NoStart),
             }
@@ -475,7 +498,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         };
         let report = planner.plan(
             &Inputs {
-                state: self.estimator.state(),
+                state: self.estimator.predicted(),
                 u_previous: &self.sent,
                 disturbance: self.estimator.disturbance_n(),
                 goal,
@@ -532,83 +555,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         self.tensions.check(&self.proposed, &self.applied, Floor::Zero, &mut self.sent);
     }
 
-    /// Completes the record of the tick that was done with `inputs`. Does not allocate. For after sending.
-    pub fn report(&mut self, inputs: &TickInputs<'_>) -> &Record {
-        let state = self.estimator.state();
-        let (cables, count) = (self.arm.cable_count(), 2 * self.arm.segment_count());
-        let r = &mut self.record;
-        r.tick = inputs.tick;
-        r.now_ns = inputs.now_ns;
-        r.mode = self.supervisor.mode();
-        r.fault = self.supervisor.latch().first;
-        r.fault_count = self.supervisor.latch().count;
-        r.drives = inputs.drives.phase;
-        r.late_in_row = self.supervisor.late_in_row();
-        r.events_dropped = self.supervisor.events_mut().dropped;
-        r.observing = self.observing;
-        r.settled = self.observing && self.estimate.settled;
-        r.innovation_max_rad = if self.observing { self.estimate.innovation_max_rad } else { f64::NAN };
-
-        r.cable_count = cables;
-        r.tension_command_n[..cables].copy_from_slice(&self.sent);
-        r.tension_measured_n.fill(f64::NAN);
-        copy(inputs.tensions_measured_n, &mut r.tension_measured_n[..cables]);
-        r.cable_length_m[..cables].copy_from_slice(self.encoders.lengths_m());
-        r.bridged = self.encoders.bridged();
-        r.encoder_capture_ns = inputs.encoders.capture_ns;
-
-        r.curvature_count = count;
-        r.curvature_1pm[..count].copy_from_slice(&self.curvatures[..count]);
-        r.innovation_rad.fill(f64::NAN);
-        copy(self.estimator.innovation_rad(), &mut r.innovation_rad[..count]);
-        r.disturbance_nm.fill(f64::NAN);
-        copy(self.estimator.disturbance_nm(), &mut r.disturbance_nm[..count]);
-
-        let tip = self.arm.tip(&state.q, &state.qd);
-        r.tip_position_m = tip.position.into();
-        r.tip_quaternion = tip.quaternion.into();
-        r.tip_velocity_mps = tip.velocity.into();
-        r.tip_angular_velocity_radps = (rotation(&tip.quaternion) * tip.angular_velocity).into();
-
-        r.target = inputs.target.map(|target| target.now);
-        r.target_sequence = inputs.target.map_or(0, |target| target.sequence);
-        (r.tip_error_m, r.quaternion_error, r.curvature_error_1pm) = (f64::NAN, f64::NAN, f64::NAN);
-        match r.target {
-            Some(Target::Tip { position_m, quaternion, .. }) => {
-                r.tip_error_m = (tip.position - position_m).norm();
-                let sign = if quaternion.dot(&tip.quaternion) < 0.0 { -1.0 } else { 1.0 };
-                r.quaternion_error = (tip.quaternion - sign * quaternion).norm();
-            }
-            Some(Target::Shape { curvatures_1pm, .. }) => {
-                let errors = self.curvatures[..count].iter().zip(&curvatures_1pm).map(|(k, d)| (k - d).abs());
-                r.curvature_error_1pm = errors.fold(0.0, f64::max);
-            }
-            None => {}
-        }
-
-        let nodes = self.arm.node_count();
-        r.node_stride = nodes.div_ceil(NODES_MAX).max(1);
-        r.node_count = nodes.div_ceil(r.node_stride);
-        for i in 0..r.node_count {
-            let node = ((i + 1) * r.node_stride).min(nodes) - 1;
-            r.nodes[i].copy_from_slice(&state.q[7 * node..7 * (node + 1)]);
-        }
-
-        self.arm.frames_into(&state.q, &mut self.positions, &mut self.tangents);
-        let obstacles = inputs.obstacles.now();
-        let measured = self.body.measure(&self.positions, &self.tangents, obstacles);
-        r.obstacle_count = obstacles.len();
-        for (k, obstacle) in obstacles.as_slice().iter().enumerate() {
-            r.distances[k] = Distance {
-                id: obstacle.id(),
-                along_arm_m: measured.along_arm[k],
-                at_points_m: measured.at_points[k],
-                growth_m: obstacle.growth(),
-            };
-        }
-        &self.record
-    }
-
     /// The record, for the caller to fill in the timing.
     pub const fn record_mut(&mut self) -> &mut Record {
         &mut self.record
@@ -619,9 +565,4 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
 enum Wanted {
     Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
     Shape([f64; CURVATURES_MAX]),
-}
-
-/// Copies as much as both have.
-fn copy(from: &[f64], to: &mut [f64]) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
 }

@@ -1,0 +1,149 @@
+//! An open-loop run as a recording, with the schemas of all of sinew.
+
+use sinew::config::{Task, WarningBranch};
+use sinew::ipc::payload::{
+    MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, PlannerBranch, PlannerStatus, State, Target,
+    TargetMode,
+};
+use sinew::planner::{Branch, Goal, Status};
+use sinew::recording::{Recording, RecordingError};
+use sinew::scenario::{Run, Step};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+/// Writes each step's planned state, its target and its obstacles.
+pub(crate) struct PlanRecording {
+    file: Recording<BufWriter<File>>,
+    state: Box<State>,
+    obstacles: Box<Obstacles>,
+    lengths: Vec<f64>,
+}
+
+impl PlanRecording {
+    pub(crate) fn create(path: &Path, run: &Run) -> Result<Self, RecordingError> {
+        let scenario = run.course().scenario();
+        let about = BTreeMap::from([
+            ("scenario".to_owned(), scenario.name.clone()),
+            ("seed".to_owned(), run.seed().to_string()),
+            ("warning".to_owned(), format!("{:?}", run.planner().config().warning)),
+        ]);
+        Ok(Self {
+            file: Recording::create(path, &scenario.arm.name, &about)?,
+            state: Box::default(),
+            obstacles: Box::default(),
+            lengths: vec![0.0; scenario.arm.cable_count()],
+        })
+    }
+
+    pub(crate) fn write(&mut self, run: &Run, step: &Step) -> Result<(), RecordingError> {
+        let time_ns = (step.time_s * 1e9).round() as u64;
+        self.fill_state(run, step);
+        self.file.state(time_ns, &self.state)?;
+        self.file.target(time_ns, &target(run, step.time_s))?;
+        self.fill_obstacles(run, step.time_s);
+        self.obstacles.header.sequence = run.steps();
+        self.obstacles.header.capture_ns = time_ns;
+        self.file.obstacles(time_ns, &self.obstacles)
+    }
+
+    pub(crate) fn finish(self) -> Result<(), RecordingError> {
+        self.file.finish().map(|_| ())
+    }
+
+    fn fill_state(&mut self, run: &Run, step: &Step) {
+        let arm = &run.planner().arm;
+        let (q, qd) = (&run.state().q, &run.state().qd);
+        let s = &mut *self.state;
+        s.header.tick = run.steps();
+        s.header.sequence = run.steps();
+        s.header.capture_ns = (step.time_s * 1e9).round() as u64;
+        s.time_s = step.time_s;
+        let report = &step.report;
+        s.planner_status = match report.status {
+            _ if report.relaxed => PlannerStatus::Relaxed,
+            Status::Converged => PlannerStatus::Converged,
+            Status::IterationLimit | Status::BudgetSpent => PlannerStatus::BudgetSpent,
+            Status::Singular => PlannerStatus::Failed,
+        }
+        .wire();
+        s.planner_branch = match (report.branch, run.planner().config().warning) {
+            (Branch::Safe, _) => PlannerBranch::Safe,
+            (Branch::Warning, WarningBranch::Swarm) => PlannerBranch::Swarm,
+            (Branch::Warning, WarningBranch::Seeded) => PlannerBranch::Seeded,
+            (Branch::Warning, WarningBranch::Complementarity) => PlannerBranch::Complementarity,
+            (Branch::Warning, WarningBranch::StandardSwarm) => PlannerBranch::StandardSwarm,
+        }
+        .wire();
+        s.newton_iterations = step.report.iterations as u32;
+        s.swarm_sweeps = step.report.sweeps as u32;
+        s.cost = step.report.cost;
+        s.kkt_residual = step.report.kkt_residual;
+        s.timing.plan_ns = step.plan_ns;
+        let cables = arm.cable_count().min(MAX_CABLES);
+        s.cable_count = cables as u32;
+        s.segment_count = arm.segment_count() as u32;
+        s.tension_command_n[..cables].copy_from_slice(&run.tensions()[..cables]);
+        arm.cable_lengths_into(q, &mut self.lengths);
+        s.cable_length_m[..cables].copy_from_slice(&self.lengths[..cables]);
+        s.tip_position_m = step.tip.position.into();
+        s.tip_quaternion = step.tip.quaternion.into();
+        s.tip_velocity_mps = step.tip.velocity.into();
+        s.tip_angular_velocity_radps = step.tip.angular_velocity.into();
+        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
+        arm.curvatures_into(q, qd, &mut k, &mut kd);
+        s.curvature_1pm[..k.len()].copy_from_slice(&k);
+        match run.course().goal(step.time_s) {
+            Goal::Tip { position, quaternion, .. } => {
+                s.target_mode = TargetMode::Tip.wire();
+                s.target_position_m = position.into();
+                s.target_quaternion = quaternion.into();
+                s.tip_error_m = (step.tip.position - position).norm();
+            }
+            Goal::Shape { curvatures, .. } => {
+                s.target_mode = TargetMode::Shape.wire();
+                s.target_curvature_1pm[..curvatures.len()].copy_from_slice(curvatures);
+                s.curvature_error_1pm = k.iter().zip(curvatures).fold(0.0, |a, (k, d)| f64::max(a, (k - d).abs()));
+            }
+        }
+        s.set_nodes(arm.node_count(), |i| arm.pose(q, i + 1).0.into(), |i| arm.pose(q, i + 1).1.into());
+        let (along_arm, _) = run.distances();
+        s.distance_count = along_arm.len().min(MAX_TRACKED) as u32;
+        for (k, d) in along_arm.iter().take(MAX_TRACKED).enumerate() {
+            s.distances[k] =
+                ObstacleDistance { source_id: 0, obstacle_id: k as u32, surface_distance_m: *d, growth_m: 0.0 };
+        }
+    }
+
+    fn fill_obstacles(&mut self, run: &Run, t: f64) {
+        let set = &mut *self.obstacles;
+        (set.count, set.vertex_count) = (0, 0);
+        for (k, o) in run.course().scenario().obstacles.iter().enumerate() {
+            let mut placed = Obstacle::ball(k as u32, o.motion.position_at(t), 0.0);
+            placed.quaternion = o.quaternion;
+            placed.velocity_mps = o.motion.velocity_at(t);
+            // A scenario has no more obstacles than the planner has room for, which is this set's room.
+            let _fits = set.push_shape(placed, &o.shape);
+        }
+    }
+}
+
+fn target(run: &Run, t: f64) -> Target {
+    let mut target = Target::default();
+    target.header.sequence = run.steps();
+    target.header.capture_ns = (t * 1e9).round() as u64;
+    target.valid_from_ns = target.header.capture_ns;
+    match &run.course().scenario().task {
+        Task::Tip { path, .. } => {
+            (target.position_m, target.quaternion) = path.pose_at(t);
+            target.velocity_mps = path.velocity_at(t);
+        }
+        Task::Shape { curvatures_1pm, .. } => {
+            target.mode = TargetMode::Shape.wire();
+            target.segment_count = (curvatures_1pm.len() / 2) as u32;
+            target.curvature_1pm[..curvatures_1pm.len()].copy_from_slice(curvatures_1pm);
+        }
+    }
+    target
+}
