@@ -10,6 +10,7 @@ mod judge;
 mod setup;
 
 use super::Outcome;
+use super::scenario_client::approach_s;
 use children::{Children, Ended};
 use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, miette};
@@ -203,14 +204,15 @@ impl Demo {
                 }
                 None => {}
                 Some(origin) => {
-                    let t_s = state.header.capture_ns.saturating_sub(origin) as f64 * 1e-9;
-                    bar.set_position((1e3 * t_s) as u64);
+                    let t_s =
+                        state.header.capture_ns.saturating_sub(origin) as f64 * 1e-9 - approach_s(&setup.scenario.task);
+                    bar.set_position((1e3 * t_s.max(0.0)) as u64);
                     if kill_at_s.is_some_and(|at| t_s >= at) {
                         kill_at_s = None;
                         bar.println(format!("{t_s:.1} s: obstacle client killed"));
                         children.kill_obstacle_client()?;
                     }
-                    // One second more: the first record that was seen here need not be the first that tracked.
+                    // A little more: the first record that was seen here need not be the first that tracked.
                     if t_s >= setup.duration_s + 0.1 {
                         break Ending::Done;
                     }

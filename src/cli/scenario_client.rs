@@ -1,8 +1,8 @@
 //! `sinew client`: a scenario's perception and task as processes of their own, for demonstrations and tests.
 //!
-//! Enters: the daemon's records. Leaves: obstacles or targets as the scenario has them. The scenario's clock begins with
-//! the first tick in which the arm tracks; before, everything stands where it is at the beginning. Neither client is
-//! told anything about the other, the plant, or who started it.
+//! Enters: the daemon's records. Leaves: obstacles or targets as the scenario has them. The scenario's clock begins
+//! [`approach_s`] after the first tick in which the arm tracks; before, everything stands where it is at the beginning.
+//! Neither client is told anything about the other, the plant, or who started it.
 //!
 //! In lockstep exactly one message goes out per tick, after the record of the tick before (see `ipc/PAYLOADS.md`); its
 //! capture time is that tick's, and the velocity beside it leads to the next. In real time a message goes out every
@@ -26,6 +26,18 @@ const AHEAD_S: f64 = 0.4;
 const LOOK: Duration = Duration::from_micros(50);
 /// A daemon that has said nothing for so long is gone.
 const SILENCE: Duration = Duration::from_secs(30);
+
+/// Time (s) between the first tick that tracks and the beginning of the scenario.
+///
+/// A tip path begins in a pose that the true arm is several centimetres away from: it rests under the tensions that the
+/// controller's model needs there. So first it is brought to where the path begins. A shape is one step of the target,
+/// and the approach to it is the scenario.
+pub(crate) const fn approach_s(task: &Task) -> f64 {
+    match task {
+        Task::Tip { .. } => 4.0,
+        Task::Shape { .. } => 0.0,
+    }
+}
 
 /// Arguments of `sinew client`.
 #[derive(Debug, Args)]
@@ -102,7 +114,7 @@ fn publish<C: Content>(
     let daemon = Daemon::wait_for_daemon(&Domain::from_env(), arm, SILENCE).into_diagnostic()?;
     let states = daemon.states().into_diagnostic()?;
     let mut publisher: SourcePublisher<C::Payload> = daemon.publisher(common.source).into_diagnostic()?;
-    let mut clock = ScenarioClock::default();
+    let mut clock = ScenarioClock::new(&scenario.task);
     let last_ns = if common.lockstep {
         in_lockstep(&mut content, &mut clock, &states, &mut publisher, stop)?
     } else {
@@ -117,20 +129,25 @@ fn publish<C: Content>(
 }
 
 /// The scenario's time in the daemon's.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct ScenarioClock {
+    approach_ns: u64,
     origin_ns: Option<u64>,
 }
 
 impl ScenarioClock {
+    fn new(task: &Task) -> Self {
+        Self { approach_ns: (1e9 * approach_s(task)).round() as u64, origin_ns: None }
+    }
+
     fn see(&mut self, state: &State) {
         if self.origin_ns.is_none() && state.supervisor == SupervisorState::Tracking.wire() {
-            self.origin_ns = Some(state.header.capture_ns);
+            self.origin_ns = Some(state.header.capture_ns + self.approach_ns);
         }
     }
 
     fn at_s(&self, now_ns: u64) -> Option<f64> {
-        self.origin_ns.map(|origin| now_ns.saturating_sub(origin) as f64 * 1e-9)
+        self.origin_ns.and_then(|origin| now_ns.checked_sub(origin)).map(|since| since as f64 * 1e-9)
     }
 }
 
@@ -180,6 +197,13 @@ fn in_real_time<C: Content>(
         let payload = content.at(clock.at_s(now_ns), clock.origin_ns.unwrap_or(0));
         publisher.publish(payload, now_ns).into_diagnostic()?;
         next += period;
+        // All clients must see the same tick as the first that tracks, and a record is kept only until the next.
+        while clock.origin_ns.is_none() && Instant::now() < next {
+            while let Some(state) = states.receive().into_diagnostic()? {
+                clock.see(&state);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
         std::thread::sleep(next.saturating_duration_since(Instant::now()));
     }
     Ok(None)
@@ -332,8 +356,8 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_begins_with_the_first_tick_that_tracks() {
-        let mut clock = ScenarioClock::default();
+    fn the_clock_begins_when_the_arm_has_tracked_for_the_time_of_the_approach() {
+        let mut clock = ScenarioClock { approach_ns: 500_000_000, origin_ns: None };
         let state = |ns: u64, mode: SupervisorState| {
             let mut state = State { supervisor: mode.wire(), ..State::default() };
             state.header.capture_ns = ns;
@@ -343,6 +367,7 @@ mod tests {
         assert_eq!(clock.at_s(20), None);
         clock.see(&state(1_000_000_030, SupervisorState::Tracking));
         clock.see(&state(2_000_000_030, SupervisorState::Tracking));
-        assert_eq!(clock.at_s(3_500_000_030), Some(2.5));
+        assert_eq!(clock.at_s(1_400_000_030), None);
+        assert_eq!(clock.at_s(3_500_000_030), Some(2.0));
     }
 }

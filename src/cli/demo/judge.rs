@@ -10,6 +10,7 @@
 //! the drives did not do what the controller commanded, and that is an error.
 
 use super::setup::Setup;
+use crate::cli::scenario_client::approach_s;
 use miette::{IntoDiagnostic, WrapErr, miette};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
 use serde_json::Value;
@@ -85,19 +86,21 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         });
     })?;
     let Some(first) = records.iter().position(|r| r.tracks) else { return Ok(never_tracked(setup, &records)) };
-    let origin_ns = records[first].capture_ns;
+    // The scenario begins when the clients say so: after the approach to its start.
+    let approach_s = approach_s(&setup.scenario.task);
+    let origin_ns = records[first].capture_ns + (1e9 * approach_s).round() as u64;
     let period_s = setup.config.timing.period_s;
     let truth_s: Vec<f64> = if lockstep {
         let offset = offset(setup, &records[first..], &truths)?;
         let tick = records[first].tick as f64;
-        truths.iter().map(|t| (t.syncs as f64 - offset as f64 - tick + 1.0) * period_s).collect()
+        truths.iter().map(|t| (t.syncs as f64 - offset as f64 - tick + 1.0) * period_s - approach_s).collect()
     } else {
         truths.iter().map(|t| (t.capture_ns as f64 - origin_ns as f64) * 1e-9).collect()
     };
 
     let mut collector = collector(setup);
     let mut judge = Judge::new(setup)?;
-    let mut tick = first;
+    let mut tick = records.iter().position(|r| r.capture_ns >= origin_ns).unwrap_or(records.len());
     let mut reached_s = 0.0;
     for (truth, &t) in truths.iter().zip(&truth_s) {
         // Half a period: times are multiples of it only up to rounding.
@@ -117,7 +120,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     let within =
         |r: &&Record| (r.capture_ns.saturating_sub(origin_ns)) as f64 * 1e-9 <= setup.duration_s + 0.5 * period_s;
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
-    let missed = run.last().map_or(0, |last| last.missed - records[first].missed);
+    let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
     collector.set_missed(missed);
     faults(&records, origin_ns, &mut collector);
     if let Some(stopped) = run.iter().find(|r| !r.tracks && r.fault.0 == 0) {
@@ -126,7 +129,11 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     }
     let planner = &setup.config.planner;
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, planner.lookahead_s, true);
-    Ok(Judged { contact: setup.scenario.planner.avoidance && collector.contact(), summary, reached_s })
+    Ok(Judged {
+        contact: setup.scenario.planner.avoidance && collector.contact(BodyModel::Arm, 0.0),
+        summary,
+        reached_s,
+    })
 }
 
 /// A run that ended before it began; its faults say why.
