@@ -5,6 +5,7 @@
 pub mod collision;
 pub mod config;
 pub mod control;
+pub mod daemon;
 pub mod estimator;
 pub mod integrator;
 pub mod ipc;

@@ -1,5 +1,16 @@
 //! The simulated arm and its drives.
+//!
+//! Enters: frames on the buses, the controller's own configuration files and `[plant]`. Leaves: frames, and for judging
+//! only, a trace of the true arm. It knows the controller by its frames alone: no shared memory, no other channel.
+//!
+//! * [`truth`]: the arm; [`drive`]: the drives' protocol; [`rig`]: drums, brakes and encoders between them;
+//! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`trace`]: the truth on file;
+//! * [`config`]: `[plant]`.
 
 pub mod config;
 pub mod drive;
+pub mod fault;
+pub mod rig;
+pub mod server;
+pub mod trace;
 pub mod truth;

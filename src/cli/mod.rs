@@ -1,10 +1,19 @@
 //! Commands of `sinew`; each file is one.
 
 mod check;
+mod client;
+mod demo;
+mod leash;
+mod obstacles;
 mod plan;
 mod record;
+mod requests;
+mod run;
+mod scenario_client;
+mod status;
 
 use clap::{Parser, Subcommand};
+use sinew::ipc::payload::RequestKind;
 use std::process::ExitCode;
 
 /// Real-time controller service for cable-driven multisegment continuum arms.
@@ -21,6 +30,36 @@ enum Command {
     Plan(plan::Plan),
     /// Read a configuration, refuse whatever can be refused, and show what it means.
     Check(check::Check),
+    /// Run the daemon of an arm.
+    Run(run::Run),
+    /// Show a running daemon: mode, faults, times, buses, sources, rights.
+    Status(status::Status),
+    /// Bring the drives up and hold the pose.
+    Arm(requests::Ask),
+    /// Take the torque off the drives at once, in order.
+    Disarm(requests::Ask),
+    /// Hold the present pose.
+    Hold(requests::Ask),
+    /// Follow the target.
+    Track(requests::Ask),
+    /// Ramp the tensions down, then disarm.
+    Stop(requests::Ask),
+    /// Release a latched fault whose cause is gone.
+    Clear(requests::Ask),
+    /// Go to the home pose.
+    Home(requests::Ask),
+    /// Give one target, which is kept until another comes.
+    Target(requests::TargetArguments),
+    /// Inject an obstacle by hand, or list those that the loop knows.
+    Obstacles(obstacles::ObstaclesArguments),
+    /// Run a scenario in closed loop against the simulated plant, every part a process of its own.
+    Demo(demo::Demo),
+    /// A scenario's obstacles or task, as a client of a running daemon.
+    #[command(hide = true)]
+    Client(scenario_client::Client),
+    /// Run a program that ends when its parent ends.
+    #[command(hide = true)]
+    Leash(leash::Leash),
 }
 
 /// How a command ended.
@@ -49,6 +88,20 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
     match arguments.command {
         Command::Plan(plan) => plan.run(),
         Command::Check(check) => check.run(),
+        Command::Demo(demo) => demo.run(),
+        Command::Client(client) => client.run(),
+        Command::Leash(leash) => leash.run(),
+        Command::Run(run) => run.run(),
+        Command::Status(status) => status.run(),
+        Command::Arm(ask) => ask.run(RequestKind::Arm),
+        Command::Disarm(ask) => ask.run(RequestKind::Disarm),
+        Command::Hold(ask) => ask.run(RequestKind::Hold),
+        Command::Track(ask) => ask.run(RequestKind::Track),
+        Command::Stop(ask) => ask.run(RequestKind::Stop),
+        Command::Clear(ask) => ask.run(RequestKind::Clear),
+        Command::Home(ask) => ask.run(RequestKind::Home),
+        Command::Target(target) => target.run(),
+        Command::Obstacles(obstacles) => obstacles.run(),
     }
 }
 
@@ -57,4 +110,12 @@ pub(crate) fn progress_bar(length: u64, what: &str) -> indicatif::ProgressBar {
     let style = indicatif::ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}")
         .unwrap_or_else(|_| indicatif::ProgressStyle::default_bar());
     indicatif::ProgressBar::new(length).with_style(style).with_message(what.to_owned())
+}
+
+/// A duration above zero, as an argument.
+pub(crate) fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds.is_finite() && seconds > 0.0 && seconds < 1e9 => Ok(seconds),
+        _ => Err("expected a time above 0 s".to_owned()),
+    }
 }

@@ -570,6 +570,30 @@ impl Drive {
 
     /// SYNC: waiting targets take effect, then the state as it now is is sent.
     fn on_sync(&mut self) {
+        self.latch();
+        self.answer();
+    }
+
+    /// First half of a SYNC on its own, for a plant in lockstep: waiting targets take effect. The plant then advances by
+    /// a period, and [`Self::answer_sync`] sends what it measured at the end of it.
+    pub fn latch_sync(&mut self, now_ns: u64) {
+        self.poll(now_ns);
+        if self.nmt == NmtState::Operational {
+            self.latch();
+            self.refresh_state_objects();
+        }
+    }
+
+    /// Second half of a SYNC: synchronous TPDOs with the feedback as it now is.
+    pub fn answer_sync(&mut self, now_ns: u64) {
+        self.poll(now_ns);
+        if self.nmt == NmtState::Operational {
+            self.answer();
+            self.event_driven();
+        }
+    }
+
+    fn latch(&mut self) {
         self.syncs += 1;
         self.sync_ns = Some(self.now_ns);
         self.sync_lost = false;
@@ -578,6 +602,9 @@ impl Drive {
                 self.apply_rpdo(n, &bytes[..len]);
             }
         }
+    }
+
+    fn answer(&mut self) {
         self.refresh_state_objects();
         for n in 0..usize::from(PDOS) {
             let pdo = self.tpdo[n];

@@ -1,0 +1,181 @@
+//! Faults by command: encoders that stick, jump or fall silent, drives that trip or die.
+//!
+//! Enters: texts such as `stick:7@12.5`. Leaves: what happens to which cable, and when. It never decides by itself: a
+//! cable left to chance (`any`) is drawn from the plant's seed, so that a seed gives the same fault every time.
+
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::str::FromStr;
+
+/// What breaks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FaultKind {
+    /// The encoder shows its last value for ever.
+    Stick,
+    /// The encoder is off by this much (m) from then on.
+    Jump(f64),
+    /// The drive's process data no longer reach the bus; it follows its commands all the same.
+    Silence,
+    /// The drive cuts its power and says so: over-current (EMCY 0x2310).
+    Trip,
+    /// The drive loses its supply: no torque, no frame, no answer.
+    Dead,
+}
+
+/// Which cable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Which {
+    /// Index of the cable over the whole arm, from 1, as the drives are counted.
+    Cable(usize),
+    /// Drawn from the seed.
+    Any,
+}
+
+/// One fault.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaultSpec {
+    /// What breaks.
+    pub kind: FaultKind,
+    /// Where.
+    pub which: Which,
+    /// When (s), counted from the moment at which the first drive was enabled.
+    pub at_s: f64,
+}
+
+/// Step of an encoder that jumps, unless told otherwise (m).
+const JUMP_M: f64 = 0.02;
+
+impl FromStr for FaultSpec {
+    type Err = String;
+
+    /// `kind:cable@seconds`, `jump:cable:metres@seconds`; without a time: at once; `any` for a cable drawn from the seed.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let usage = || {
+            format!(
+                "`{text}`: expected stick|jump|silence|trip|dead:CABLE[:METRES][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
+            )
+        };
+        let (what, at) = text.split_once('@').unwrap_or((text, "0"));
+        let at_s: f64 = at.parse().map_err(|_| usage())?;
+        if !(at_s.is_finite() && at_s >= 0.0) {
+            return Err(usage());
+        }
+        let mut parts = what.split(':');
+        let (kind, cable, size) = (parts.next(), parts.next(), parts.next());
+        if parts.next().is_some() {
+            return Err(usage());
+        }
+        let kind = match (kind, size) {
+            (Some("stick"), None) => FaultKind::Stick,
+            (Some("jump"), None) => FaultKind::Jump(JUMP_M),
+            (Some("jump"), Some(size)) => {
+                let size: f64 = size.parse().map_err(|_| usage())?;
+                if !size.is_finite() {
+                    return Err(usage());
+                }
+                FaultKind::Jump(size)
+            }
+            (Some("silence"), None) => FaultKind::Silence,
+            (Some("trip"), None) => FaultKind::Trip,
+            (Some("dead"), None) => FaultKind::Dead,
+            _ => return Err(usage()),
+        };
+        let which = match cable {
+            Some("any") => Which::Any,
+            Some(number) => match number.parse() {
+                Ok(n) if n >= 1 => Which::Cable(n),
+                _ => return Err(usage()),
+            },
+            None => return Err(usage()),
+        };
+        Ok(Self { kind, which, at_s })
+    }
+}
+
+/// Faults that have not happened yet, in the order of their times.
+#[derive(Debug, Clone, Default)]
+pub struct Schedule {
+    /// Latest first.
+    waiting: Vec<(f64, usize, FaultKind)>,
+}
+
+impl Schedule {
+    /// Settles which cables are meant.
+    ///
+    /// # Errors
+    /// A cable that the arm has not.
+    pub fn new(specs: &[FaultSpec], cables: usize, seed: u64) -> Result<Self, String> {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut waiting = Vec::with_capacity(specs.len());
+        for spec in specs {
+            let cable = match spec.which {
+                Which::Any => rng.random_range(0..cables),
+                Which::Cable(n) if n <= cables => n - 1,
+                Which::Cable(n) => return Err(format!("a fault of cable {n}: the arm has cables 1 to {cables}")),
+            };
+            waiting.push((spec.at_s, cable, spec.kind));
+        }
+        // Those of one time in the order given.
+        waiting.sort_by(|a, b| a.0.total_cmp(&b.0));
+        waiting.reverse();
+        Ok(Self { waiting })
+    }
+
+    /// The next fault whose time has come: its cable (from 0) and what breaks.
+    pub fn due(&mut self, time_s: f64) -> Option<(usize, FaultKind)> {
+        // Half a nanosecond: times are sums of periods.
+        if self.waiting.last().is_some_and(|w| w.0 <= time_s + 5e-10) {
+            self.waiting.pop().map(|(_, cable, kind)| (cable, kind))
+        } else {
+            None
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_is_read_as_it_is_written() {
+        let spec = |text: &str| text.parse::<FaultSpec>().unwrap();
+        assert_eq!(spec("stick:7@12.5"), FaultSpec { kind: FaultKind::Stick, which: Which::Cable(7), at_s: 12.5 });
+        assert_eq!(spec("jump:any:-0.03"), FaultSpec { kind: FaultKind::Jump(-0.03), which: Which::Any, at_s: 0.0 });
+        assert_eq!(spec("dead:24@1").kind, FaultKind::Dead);
+    }
+
+    #[test]
+    fn a_fault_that_makes_no_sense_is_refused_with_an_example() {
+        for text in
+            ["", "stick", "stick:0", "stick:x@1", "burn:1", "stick:1@-1", "stick:1@inf", "stick:1:2", "jump:1:nan"]
+        {
+            let refusal = text.parse::<FaultSpec>().unwrap_err();
+            assert!(refusal.contains("stick:7@12.5"), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn faults_come_in_the_order_of_their_times_and_once() {
+        let specs: Vec<FaultSpec> = ["stick:3@2", "jump:1@1", "trip:2@2"].map(|t| t.parse().unwrap()).into();
+        let mut schedule = Schedule::new(&specs, 24, 1).unwrap();
+        assert_eq!(schedule.due(0.5), None);
+        assert_eq!(schedule.due(1.0), Some((0, FaultKind::Jump(JUMP_M))));
+        assert_eq!(schedule.due(1.0), None);
+        assert_eq!(schedule.due(3.0), Some((2, FaultKind::Stick)));
+        assert_eq!(schedule.due(3.0), Some((1, FaultKind::Trip)));
+        assert_eq!(schedule.due(9.0), None);
+    }
+
+    #[test]
+    fn a_cable_left_to_chance_is_the_same_for_a_seed_and_exists() {
+        let specs = vec!["stick:any@0".parse().unwrap(); 50];
+        let draw = |seed| {
+            let mut schedule = Schedule::new(&specs, 6, seed).unwrap();
+            std::iter::from_fn(|| schedule.due(0.0)).map(|f| f.0).collect::<Vec<_>>()
+        };
+        assert_eq!(draw(4), draw(4));
+        assert_ne!(draw(4), draw(5));
+        assert!(draw(4).iter().all(|&c| c < 6));
+        assert!(Schedule::new(&["stick:7".parse().unwrap()], 6, 1).unwrap_err().contains("cables 1 to 6"));
+    }
+}

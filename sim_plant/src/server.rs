@@ -1,0 +1,415 @@
+//! The plant on its buses: frames in and out, and what makes time pass.
+//!
+//! Enters: frames. Leaves: frames, the trace. It must never wait for anybody but the clock or a SYNC.
+//!
+//! **Lockstep.** Every SYNC (with several buses: one on each) is one period: synchronous targets take effect, the arm
+//! advances by the period, and the answers to SYNC k carry the state *after* that step, measured at the end of period k.
+//! So a controller that computes for tick k + 1 with the answers to SYNC k has no latency. Hardware, and real time below,
+//! measure at the SYNC itself, which is one tick of latency. The drives' clock is the number of SYNCs times the period:
+//! heartbeats and SYNC guards count simulated time, and a run is the same bit for bit however fast it computes.
+//! A controller that dies stops that clock; so after [`SILENCE`] of real time without a SYNC it goes on with the computer's
+//! until the next SYNC, and the guards find out.
+//!
+//! **Real time.** The arm advances in fixed steps at absolute deadlines. An encoder is read at the SYNC: the last step's
+//! length, carried on at the last step's rate. A step that begins more than a step late is counted. Physics that falls
+//! behind by more than [`BEHIND_MAX`] gives the difference up, which is counted too: a backlog is not replayed. The
+//! drives' guards run on real time.
+
+use crate::config::{Pace, PlantConfig};
+use crate::drive::{Drive, DriveBank, Nameplate};
+use crate::fault::{FaultKind, Schedule};
+use crate::rig::{DriveAction, Rig};
+use crate::trace::Trace;
+use sinew::config::{BusKind, Config};
+use sinew::integrator::StepError;
+use sinew::recording::RecordingError;
+use sinew_hal::bus_config::{self, BusSpec, OpenError};
+use sinew_hal::can::{CanBus, Frame, Id, SendError};
+use sinew_hal::canopen::cob::NodeIdError;
+use sinew_hal::canopen::emcy::{code, register};
+use sinew_hal::canopen::{Message, NodeId};
+use sinew_hal::cia402::state::State;
+use sinew_hal::clock::monotonic_ns;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Real time without a SYNC after which the clock of a plant in lockstep follows the computer's.
+pub const SILENCE: Duration = Duration::from_secs(2);
+/// Physics further behind than this gives the difference up.
+pub const BEHIND_MAX: Duration = Duration::from_millis(250);
+/// Longest wait on a bus: how soon a request to stop is seen.
+const WAIT_MAX: Duration = Duration::from_millis(20);
+/// Longest wait on one of several buses.
+const TURN: Duration = Duration::from_micros(100);
+/// Frames that wait for a full transmit queue.
+const OUTBOX_MAX: usize = 4096;
+
+/// Why the plant ended, or did not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// A bus.
+    #[error("bus {name}: {source}")]
+    Bus {
+        /// Its name in `[drives]`.
+        name: String,
+        /// Why it did not open.
+        source: OpenError,
+    },
+    /// A node id.
+    #[error(transparent)]
+    Node(#[from] NodeIdError),
+    /// The physics.
+    #[error("the simulated arm diverged at {at_s:.3} s: {source}")]
+    Diverged {
+        /// Simulated time (s).
+        at_s: f64,
+        /// Cause.
+        source: StepError,
+    },
+    /// The trace.
+    #[error(transparent)]
+    Trace(#[from] RecordingError),
+}
+
+/// What happened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Served {
+    /// SYNCs served.
+    pub syncs: u64,
+    /// Steps of the physics.
+    pub steps: u64,
+    /// Steps that began more than a step late (real time).
+    pub late: u64,
+    /// Simulated time given up because the physics was too far behind (ns).
+    pub given_up_ns: u64,
+    /// Frames dropped because a bus refused them for too long.
+    pub dropped: u64,
+}
+
+/// What is left of a drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Voice {
+    Whole,
+    /// No process data.
+    Silent,
+    /// Nothing.
+    Dead,
+}
+
+struct Wire {
+    bus: Box<dyn CanBus>,
+    bank: DriveBank,
+    /// Cable of each of the bank's drives.
+    cables: Vec<usize>,
+    outbox: VecDeque<Frame>,
+    synced: bool,
+}
+
+/// The plant.
+pub struct Server {
+    wires: Vec<Wire>,
+    /// Bus and place in its bank of each cable's drive.
+    places: Vec<(usize, usize)>,
+    voices: Vec<Voice>,
+    rig: Rig,
+    schedule: Schedule,
+    trace: Option<Trace>,
+    pace: Pace,
+    period_s: f64,
+    step_s: f64,
+    /// Time of the drives (ns).
+    now_ns: u64,
+    actions: Vec<DriveAction>,
+    served: Served,
+}
+
+impl Server {
+    /// Opens the buses and powers the drives; each announces itself as soon as the server runs.
+    ///
+    /// # Errors
+    /// A bus does not open.
+    pub fn open(
+        config: &Config,
+        plant: &PlantConfig,
+        rig: Rig,
+        schedule: Schedule,
+        trace: Option<Trace>,
+    ) -> Result<Self, ServerError> {
+        let now_ns = match plant.pace {
+            Pace::Lockstep => 0,
+            Pace::Realtime => monotonic_ns(),
+        };
+        let mut wires = Vec::with_capacity(config.drives.buses.len());
+        let mut places = vec![(0, 0); config.drives.drives.len()];
+        for (index, bus) in config.drives.buses.iter().enumerate() {
+            let kind = match bus.kind {
+                BusKind::Virtual => bus_config::BusKind::Virtual,
+                BusKind::Socketcan => bus_config::BusKind::Socketcan,
+            };
+            let spec = BusSpec { fd: bus.fd, ..BusSpec::new(kind, &bus.interface) };
+            let handle =
+                bus_config::open(&spec).map_err(|source| ServerError::Bus { name: bus.name.clone(), source })?;
+            let (mut drives, mut cables) = (Vec::new(), Vec::new());
+            for (cable, drive) in config.drives.drives.iter().enumerate().filter(|(_, d)| d.bus == index) {
+                let nameplate = Nameplate {
+                    serial: cable as u32 + 1,
+                    rated_torque_mnm: (1000.0 * drive.rated_torque_nm).round() as u32,
+                };
+                places[cable] = (index, drives.len());
+                cables.push(cable);
+                drives.push(Drive::new(NodeId::new(drive.node_id)?, nameplate, now_ns));
+            }
+            let outbox = VecDeque::with_capacity(256);
+            wires.push(Wire { bus: handle, bank: DriveBank::new(drives), cables, outbox, synced: false });
+        }
+        let cables = places.len();
+        Ok(Self {
+            wires,
+            places,
+            voices: vec![Voice::Whole; cables],
+            rig,
+            schedule,
+            trace,
+            pace: plant.pace,
+            period_s: config.timing.period_s,
+            step_s: plant.step_s.min(config.timing.period_s),
+            now_ns,
+            actions: vec![DriveAction { enabled: false, torque_permille: 0 }; cables],
+            served: Served::default(),
+        })
+    }
+
+    /// Serves the buses until `stop` is set, and completes the trace.
+    ///
+    /// # Errors
+    /// The physics diverged, or the trace cannot be written; what there is of it stays readable.
+    pub fn run(mut self, stop: &AtomicBool) -> Result<Served, ServerError> {
+        let ended = match self.pace {
+            Pace::Lockstep => self.lockstep(stop),
+            Pace::Realtime => self.realtime(stop),
+        };
+        let finished = self.trace.take().map_or(Ok(()), Trace::finish);
+        ended?;
+        finished?;
+        Ok(self.served)
+    }
+
+    fn lockstep(&mut self, stop: &AtomicBool) -> Result<(), ServerError> {
+        let mut heard_ns = monotonic_ns();
+        self.give_feedback(0.0);
+        self.record()?;
+        while !stop.load(Ordering::Relaxed) {
+            self.poll_drives();
+            let mut busy = false;
+            for index in 0..self.wires.len() {
+                while let Some(frame) = self.receive(index, WAIT_MAX, &mut busy) {
+                    if Message::of(&frame) == Some(Message::Sync) {
+                        heard_ns = monotonic_ns();
+                        self.on_lockstep_sync(index)?;
+                    } else {
+                        self.wires[index].bank.on_frame(&frame, self.now_ns);
+                        self.flush();
+                    }
+                }
+            }
+            // One period at a time, so that a SYNC that comes after all is served between two of them.
+            let silence_ns = monotonic_ns().saturating_sub(heard_ns);
+            if silence_ns > SILENCE.as_nanos() as u64 {
+                heard_ns += (self.period_s * 1e9) as u64;
+                self.period()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn on_lockstep_sync(&mut self, index: usize) -> Result<(), ServerError> {
+        if self.wires[index].synced {
+            // Another bus missed its SYNC: its drives keep their targets, and time goes on.
+            self.finish_sync()?;
+        }
+        let now_ns = self.now_ns;
+        let wire = &mut self.wires[index];
+        wire.synced = true;
+        wire.bank.drives_mut().iter_mut().for_each(|drive| drive.latch_sync(now_ns));
+        if self.wires.iter().all(|wire| wire.synced) { self.finish_sync() } else { Ok(()) }
+    }
+
+    fn finish_sync(&mut self) -> Result<(), ServerError> {
+        self.served.syncs += 1;
+        self.period()?;
+        let now_ns = self.now_ns;
+        for wire in &mut self.wires {
+            if std::mem::take(&mut wire.synced) {
+                wire.bank.drives_mut().iter_mut().for_each(|drive| drive.answer_sync(now_ns));
+            }
+        }
+        self.poll_drives();
+        Ok(())
+    }
+
+    /// A period of lockstep: arm, clock, feedback, trace.
+    fn period(&mut self) -> Result<(), ServerError> {
+        self.break_what_is_due();
+        self.advance(self.period_s)?;
+        self.now_ns += (self.period_s * 1e9).round() as u64;
+        self.give_feedback(0.0);
+        self.record()
+    }
+
+    fn realtime(&mut self, stop: &AtomicBool) -> Result<(), ServerError> {
+        let step_ns = (self.step_s * 1e9).round() as u64;
+        let per_record = (self.period_s / self.step_s).round().max(1.0) as u64;
+        let mut reached_ns = monotonic_ns();
+        self.now_ns = reached_ns;
+        self.record()?;
+        while !stop.load(Ordering::Relaxed) {
+            let mut now_ns = monotonic_ns();
+            let behind_ns = now_ns.saturating_sub(reached_ns);
+            if behind_ns > BEHIND_MAX.as_nanos() as u64 {
+                self.served.given_up_ns += behind_ns - step_ns;
+                reached_ns = now_ns - step_ns;
+            }
+            // One step, then the buses: a plant that is late still answers in between.
+            if now_ns >= reached_ns + step_ns {
+                self.served.late += u64::from(now_ns >= reached_ns + 2 * step_ns);
+                reached_ns += step_ns;
+                self.now_ns = now_ns;
+                self.poll_drives();
+                self.break_what_is_due();
+                self.advance(self.step_s)?;
+                if self.served.steps.is_multiple_of(per_record) {
+                    self.record_at(reached_ns)?;
+                }
+                now_ns = monotonic_ns();
+            }
+            let wait = Duration::from_nanos((reached_ns + step_ns).saturating_sub(now_ns));
+            let mut busy = false;
+            for index in 0..self.wires.len() {
+                while let Some(frame) = self.receive(index, wait, &mut busy) {
+                    self.now_ns = monotonic_ns();
+                    if Message::of(&frame) == Some(Message::Sync) {
+                        self.served.syncs += u64::from(index == 0);
+                        let ahead_ns = self.now_ns.saturating_sub(reached_ns).min(BEHIND_MAX.as_nanos() as u64);
+                        self.give_feedback(ahead_ns as f64 * 1e-9);
+                    }
+                    self.wires[index].bank.on_frame(&frame, self.now_ns);
+                    self.flush();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The next frame of a bus. Waits only if no bus had one in this round.
+    fn receive(&mut self, index: usize, wait: Duration, busy: &mut bool) -> Option<Frame> {
+        let wait = match (*busy, self.wires.len()) {
+            (true, _) => Duration::ZERO,
+            (false, 1) => wait.min(WAIT_MAX),
+            (false, _) => wait.min(TURN),
+        };
+        // A bus that is down comes back by itself; meanwhile `receive` waits its time, and drives hear nothing.
+        let received = self.wires[index].bus.receive(wait).ok().flatten()?;
+        *busy = true;
+        Some(received.frame)
+    }
+
+    fn poll_drives(&mut self) {
+        for wire in &mut self.wires {
+            wire.bank.poll(self.now_ns);
+        }
+        self.flush();
+    }
+
+    /// Advances the arm with the torques as they are.
+    fn advance(&mut self, dt_s: f64) -> Result<(), ServerError> {
+        for (cable, &(bus, place)) in self.places.iter().enumerate() {
+            let drive = &self.wires[bus].bank.drives()[place];
+            self.actions[cable] = match self.voices[cable] {
+                Voice::Dead => DriveAction { enabled: false, torque_permille: 0 },
+                _ => DriveAction {
+                    enabled: drive.state() == State::OperationEnabled,
+                    torque_permille: drive.torque_permille(),
+                },
+            };
+        }
+        self.served.steps += 1;
+        let at_s = self.rig.time_s();
+        self.rig.advance(&self.actions, dt_s).map_err(|source| ServerError::Diverged { at_s, source })
+    }
+
+    fn give_feedback(&mut self, ahead_s: f64) {
+        for wire in &mut self.wires {
+            for (drive, &cable) in wire.bank.drives_mut().iter_mut().zip(&wire.cables) {
+                let (counts, rate) = self.rig.encoder(cable, ahead_s);
+                drive.set_feedback(counts, rate, self.rig.torque(cable, drive.torque_permille()));
+            }
+        }
+    }
+
+    fn break_what_is_due(&mut self) {
+        let Some(since_s) = self.rig.since_enabled_s() else { return };
+        while let Some((cable, kind)) = self.schedule.due(since_s) {
+            tracing::warn!(cable = cable + 1, ?kind, at_s = since_s, "fault by command");
+            self.rig.break_encoder(cable, kind);
+            let (bus, place) = self.places[cable];
+            match kind {
+                FaultKind::Silence => self.voices[cable] = Voice::Silent,
+                FaultKind::Dead => self.voices[cable] = Voice::Dead,
+                FaultKind::Trip => {
+                    let now_ns = self.now_ns;
+                    if let Some(drive) = self.wires[bus].bank.drives_mut().get_mut(place) {
+                        drive.trip(code::OVER_CURRENT, register::CURRENT, now_ns);
+                    }
+                }
+                FaultKind::Stick | FaultKind::Jump(_) => {}
+            }
+        }
+    }
+
+    fn record(&mut self) -> Result<(), ServerError> {
+        self.record_at(self.now_ns)
+    }
+
+    fn record_at(&mut self, time_ns: u64) -> Result<(), ServerError> {
+        if let Some(trace) = &mut self.trace {
+            trace.add(&self.rig, time_ns, self.served.syncs)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what waits; stops at a full queue.
+    fn flush(&mut self) {
+        for wire in &mut self.wires {
+            while let Some(frame) = wire.bank.pop() {
+                let sender = wire.bank.drives().iter().position(|d| is_from(&frame, d.node()));
+                let voice = sender.map_or(Voice::Whole, |place| self.voices[wire.cables[place]]);
+                if voice == Voice::Dead || voice == Voice::Silent && is_process_data(&frame) {
+                    continue;
+                }
+                if wire.outbox.len() == OUTBOX_MAX {
+                    wire.outbox.pop_front();
+                    self.served.dropped += 1;
+                }
+                wire.outbox.push_back(frame);
+            }
+            while let Some(frame) = wire.outbox.front() {
+                match wire.bus.send(frame) {
+                    Ok(()) => {}
+                    Err(SendError::Full) => break,
+                    // The bus is off or down: a real controller loses such frames too.
+                    Err(_) => self.served.dropped += 1,
+                }
+                wire.outbox.pop_front();
+            }
+        }
+    }
+}
+
+fn is_from(frame: &Frame, node: NodeId) -> bool {
+    matches!(frame.id(), Id::Standard(id) if id & 0x7f == u16::from(node.get()))
+}
+
+fn is_process_data(frame: &Frame) -> bool {
+    matches!(frame.id(), Id::Standard(id) if matches!(id & 0x780, 0x180 | 0x280 | 0x380 | 0x480))
+}

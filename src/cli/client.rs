@@ -1,0 +1,82 @@
+//! What the commands that talk to a running daemon have in common.
+
+use super::Outcome;
+use clap::Args;
+use miette::IntoDiagnostic;
+use sinew::config::Config;
+use sinew::daemon;
+use sinew::ipc::payload::{RefusalReason, Response};
+use sinew::ipc::{Client, Domain, IpcError};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Which daemon.
+#[derive(Debug, Args)]
+pub(crate) struct Which {
+    /// Name of the arm (`arm.name`).
+    #[arg(long, default_value = "paper", conflicts_with = "config")]
+    arm: String,
+    /// The daemon's configuration files, in place of `--arm`, where `[ipc]` is not the default.
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    config: Vec<PathBuf>,
+}
+
+/// Longest wait for an answer.
+pub(crate) const ANSWER: Duration = Duration::from_secs(5);
+
+impl Which {
+    /// Domain and name of the arm.
+    pub(crate) fn find(&self) -> miette::Result<(Domain, String)> {
+        if self.config.is_empty() {
+            return Ok((Domain::from_env(), self.arm.clone()));
+        }
+        let config = Config::load(&self.config)?;
+        Ok((daemon::domain(&config), config.ipc.arm))
+    }
+
+    pub(crate) fn connect(&self) -> miette::Result<Result<Client, IpcError>> {
+        let (domain, arm) = self.find()?;
+        Ok(Client::connect(&domain, &arm))
+    }
+}
+
+/// Says why there is no connection.
+pub(crate) fn not_connected(error: &IpcError) -> Outcome {
+    eprintln!("sinew: {error}");
+    Outcome::Failed
+}
+
+/// Says how the daemon answered.
+pub(crate) fn say(asked: &str, response: &Response) -> Outcome {
+    if response.is_accepted() {
+        println!("{asked}: {}", response.text());
+        return Outcome::Done;
+    }
+    let reason = RefusalReason::from_wire(response.reason);
+    let why = match reason {
+        // The text names the cause.
+        Some(RefusalReason::BadTarget) | None => response.text(),
+        Some(reason) => daemon::refusal_text(reason, response.detail),
+    };
+    eprintln!("{asked} refused: {why}");
+    if let Some(fault) = daemon::status::fault_status(response.fault_code, response.fault_detail, None) {
+        eprintln!("fault {}: {}; {}", fault.code, fault.what, fault.clears);
+    }
+    Outcome::Failed
+}
+
+/// A list of numbers separated by commas, as an argument.
+pub(crate) fn numbers(text: &str) -> Result<Vec<f64>, String> {
+    text.split(',')
+        .map(|part| {
+            let number: f64 = part.trim().parse().map_err(|_| format!("`{part}` is not a number"))?;
+            if number.is_finite() { Ok(number) } else { Err(format!("`{part}` is not finite")) }
+        })
+        .collect()
+}
+
+/// The time of the newest record (ns), which is also right in lockstep; the clock's where none came.
+pub(crate) fn loop_time_ns(client: &Client) -> miette::Result<u64> {
+    let newest = client.states().into_diagnostic()?.wait(Duration::from_secs(2)).into_diagnostic()?;
+    Ok(newest.map_or_else(sinew::ipc::monotonic_ns, |state| state.header.capture_ns))
+}

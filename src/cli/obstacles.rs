@@ -1,0 +1,203 @@
+//! `sinew obstacles`: inject one by hand, or list what the loop knows.
+
+use super::Outcome;
+use super::client::{Which, loop_time_ns, not_connected, numbers};
+use clap::{Args, Subcommand};
+use comfy_table::Table;
+use miette::IntoDiagnostic;
+use sinew::ipc::payload::{FLAG_LEAVING, NO_TICK, Obstacle, Obstacles, State};
+use sinew::ipc::{Client, IpcError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Arguments of `sinew obstacles`.
+#[derive(Debug, Args)]
+pub(crate) struct ObstaclesArguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Be a perception client with one ball until Ctrl-C, or for some seconds.
+    Inject(Inject),
+    /// List obstacles and their distances.
+    List(List),
+}
+
+#[derive(Debug, Args)]
+struct Inject {
+    #[command(flatten)]
+    which: Which,
+    /// Centre (m, base frame) and radius (m); without it: an empty set, which says that nothing is there.
+    #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
+    ball: Option<String>,
+    /// Velocity (m/s, base frame).
+    #[arg(long, value_name = "X,Y,Z", requires = "ball", allow_hyphen_values = true)]
+    velocity: Option<String>,
+    /// How long (s).
+    #[arg(long = "for", value_name = "SECONDS", value_parser = super::positive_seconds)]
+    duration: Option<f64>,
+    /// Source id.
+    #[arg(long, default_value_t = 0x0b5, value_name = "ID")]
+    source: u32,
+}
+
+#[derive(Debug, Args)]
+struct List {
+    #[command(flatten)]
+    which: Which,
+    /// One JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Interval of the sets: a camera's.
+const INTERVAL: Duration = Duration::from_millis(30);
+
+impl ObstaclesArguments {
+    pub(crate) fn run(self) -> miette::Result<Outcome> {
+        match self.command {
+            Command::Inject(inject) => inject.run(),
+            Command::List(list) => list.run(),
+        }
+    }
+}
+
+impl Inject {
+    fn run(self) -> miette::Result<Outcome> {
+        let obstacle = match self.obstacle() {
+            Ok(obstacle) => obstacle,
+            Err(why) => {
+                eprintln!("sinew obstacles inject: {why}");
+                return Ok(Outcome::Unusable);
+            }
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
+        }
+        let client = match self.which.connect()? {
+            Ok(client) => client,
+            Err(error) => return Ok(not_connected(&error)),
+        };
+        let begun_ns = loop_time_ns(&client)?;
+        match self.publish(&client, obstacle, begun_ns, &stop) {
+            Ok(()) => Ok(Outcome::Done),
+            Err(error) => Ok(not_connected(&error)),
+        }
+    }
+
+    fn obstacle(&self) -> Result<Option<Obstacle>, String> {
+        let Some(ball) = &self.ball else { return Ok(None) };
+        let values = numbers(ball)?;
+        let [x, y, z, radius] = values[..] else {
+            return Err(format!("--ball has {} numbers, expected 4: x,y,z,r (m)", values.len()));
+        };
+        if radius <= 0.0 {
+            return Err(format!("--ball: radius {radius} m, expected above 0"));
+        }
+        let mut obstacle = Obstacle::ball(1, [x, y, z], radius);
+        if let Some(velocity) = &self.velocity {
+            let values = numbers(velocity)?;
+            obstacle.velocity_mps = values
+                .try_into()
+                .map_err(|v: Vec<f64>| format!("--velocity has {} numbers, expected 3 (m/s)", v.len()))?;
+        }
+        Ok(Some(obstacle))
+    }
+
+    fn publish(
+        &self,
+        client: &Client,
+        obstacle: Option<Obstacle>,
+        begun_ns: u64,
+        stop: &AtomicBool,
+    ) -> Result<(), IpcError> {
+        let mut publisher = client.obstacles(self.source)?;
+        let states = client.states()?;
+        let begun = Instant::now();
+        let (mut now_ns, mut tick) = (begun_ns, NO_TICK);
+        let mut set = Obstacles::default();
+        while !stop.load(Ordering::Relaxed) && self.duration.is_none_or(|d| begun.elapsed().as_secs_f64() < d) {
+            // In the loop's own time, which in lockstep is not the clock's.
+            if let Some(state) = states.wait(INTERVAL)? {
+                (now_ns, tick) = (state.header.capture_ns, state.header.tick);
+            } else {
+                now_ns += INTERVAL.as_nanos() as u64;
+            }
+            let moved_s = now_ns.saturating_sub(begun_ns) as f64 * 1e-9;
+            set.count = 0;
+            if let Some(mut o) = obstacle {
+                (0..3).for_each(|i| o.position_m[i] += o.velocity_mps[i] * moved_s);
+                let _ = set.push(o); // one of 64 places
+            }
+            publisher.publish_for_tick(&mut set, now_ns, tick.saturating_add(1))?;
+            std::thread::sleep(INTERVAL);
+        }
+        // An ordered leave: the source sees nothing and is not missed.
+        set.count = 0;
+        set.flags = FLAG_LEAVING;
+        if let Some(state) = states.wait(INTERVAL)? {
+            now_ns = state.header.capture_ns;
+        }
+        publisher.publish(&mut set, now_ns)?;
+        // The message must be taken before its publisher goes.
+        std::thread::sleep(Duration::from_millis(50));
+        Ok(())
+    }
+}
+
+impl List {
+    fn run(self) -> miette::Result<Outcome> {
+        let client = match self.which.connect()? {
+            Ok(client) => client,
+            Err(error) => return Ok(not_connected(&error)),
+        };
+        let Some(state) = client.states().into_diagnostic()?.wait(Duration::from_secs(2)).into_diagnostic()? else {
+            eprintln!("sinew: the daemon runs, but its loop sent no record within 2 s");
+            return Ok(Outcome::Failed);
+        };
+        if self.json {
+            print_json(&state)?
+        } else {
+            print_table(&state)
+        }
+        Ok(Outcome::Done)
+    }
+}
+
+fn print_json(state: &State) -> miette::Result<()> {
+    let rows: Vec<_> = state.distances[..state.distance_count as usize]
+        .iter()
+        .map(|d| {
+            serde_json::json!({
+                "source": d.source_id,
+                "id": d.obstacle_id,
+                "surface_distance_m": d.surface_distance_m,
+                "growth_m": d.growth_m,
+            })
+        })
+        .collect();
+    let text = serde_json::to_string(&serde_json::json!({ "tick": state.header.tick, "obstacles": rows }));
+    println!("{}", text.into_diagnostic()?);
+    Ok(())
+}
+
+fn print_table(state: &State) {
+    let mut table = Table::new();
+    table.set_header(["source", "id", "distance (mm)", "grown by (mm)"]);
+    for d in &state.distances[..state.distance_count as usize] {
+        table.add_row([
+            d.source_id.to_string(),
+            d.obstacle_id.to_string(),
+            format!("{:.1}", 1e3 * d.surface_distance_m),
+            format!("{:.1}", 1e3 * d.growth_m),
+        ]);
+    }
+    println!("{table}");
+    if state.distance_count == 0 {
+        println!("no obstacles");
+    }
+}

@@ -1,0 +1,99 @@
+//! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `target`: what an operator asks for.
+
+use super::Outcome;
+use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
+use clap::Args;
+use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, Target, TargetMode};
+
+/// Arguments of a request without any of its own.
+#[derive(Debug, Args)]
+pub(crate) struct Ask {
+    #[command(flatten)]
+    which: Which,
+}
+
+impl Ask {
+    pub(crate) fn run(&self, kind: RequestKind) -> miette::Result<Outcome> {
+        let mut client = match self.which.connect()? {
+            Ok(client) => client,
+            Err(error) => return Ok(not_connected(&error)),
+        };
+        Ok(match client.ask(kind, ANSWER) {
+            Ok(response) => say(kind.text(), &response),
+            Err(error) => not_connected(&error),
+        })
+    }
+}
+
+/// Source id under which this command gives targets.
+const SOURCE_ID: u32 = 0x5157;
+
+/// Arguments of `sinew target`.
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub(crate) struct TargetArguments {
+    #[command(flatten)]
+    which: Which,
+    /// Tip pose: position (m, base frame) and quaternion, e.g. 0.2,0,-2.5,0.7071,0,0.7071,0.
+    #[arg(
+        long,
+        value_name = "X,Y,Z,QW,QX,QY,QZ",
+        required_unless_present = "curvatures",
+        conflicts_with = "curvatures",
+        allow_hyphen_values = true
+    )]
+    pose: Option<String>,
+    /// Average curvatures (1/m), (y, z) segment by segment.
+    #[arg(long, value_name = "Y1,Z1,Y2,Z2,...", allow_hyphen_values = true)]
+    curvatures: Option<String>,
+}
+
+impl TargetArguments {
+    pub(crate) fn run(self) -> miette::Result<Outcome> {
+        let mut target = match self.target() {
+            Ok(target) => target,
+            Err(why) => {
+                eprintln!("sinew target: {why}");
+                return Ok(Outcome::Unusable);
+            }
+        };
+        let mut client = match self.which.connect()? {
+            Ok(client) => client,
+            Err(error) => return Ok(not_connected(&error)),
+        };
+        let capture_ns = loop_time_ns(&client)?;
+        target.header = Header::new(SOURCE_ID, 0, capture_ns);
+        let mut request = Request { target, ..Request::new(RequestKind::SetTarget) };
+        request.header.source_id = SOURCE_ID;
+        Ok(match client.request(request, ANSWER) {
+            Ok(response) => say("target", &response),
+            Err(error) => not_connected(&error),
+        })
+    }
+
+    fn target(&self) -> Result<Target, String> {
+        let mut target = Target::default();
+        if let Some(pose) = &self.pose {
+            let values = numbers(pose)?;
+            let [x, y, z, qw, qx, qy, qz] = values[..] else {
+                return Err(format!("--pose has {} numbers, expected 7: x,y,z (m) and qw,qx,qy,qz", values.len()));
+            };
+            let norm = (qw * qw + qx * qx + qy * qy + qz * qz).sqrt();
+            if (norm - 1.0).abs() > 0.01 {
+                return Err(format!("--pose: the quaternion has length {norm:.4}, expected 1 (to a hundredth)"));
+            }
+            target.position_m = [x, y, z];
+            target.quaternion = [qw, qx, qy, qz].map(|q| q / norm);
+        }
+        if let Some(curvatures) = &self.curvatures {
+            let values = numbers(curvatures)?;
+            if values.is_empty() || !values.len().is_multiple_of(2) || values.len() > 2 * MAX_SEGMENTS {
+                return Err(format!("--curvatures has {} numbers, expected two for each segment", values.len()));
+            }
+            target.mode = TargetMode::Shape.wire();
+            target.segment_count = (values.len() / 2) as u32;
+            target.curvature_1pm[..values.len()].copy_from_slice(&values);
+        }
+        Ok(target)
+    }
+}

@@ -1,0 +1,130 @@
+//! `sinew run`: the daemon.
+
+use super::Outcome;
+use clap::Args;
+use miette::IntoDiagnostic;
+use sd_notify::NotifyState;
+use sinew::config::Config;
+use sinew::daemon::{AutoRequests, Daemon, Ending, LockstepOptions, Options};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+/// Arguments of `sinew run`.
+#[derive(Debug, Args)]
+pub(crate) struct Run {
+    /// Configuration files; together they hold all tables.
+    #[arg(long, required = true, num_args = 1.., value_name = "FILE")]
+    config: Vec<PathBuf>,
+    /// Write everything as an MCAP recording.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Seed of the planner's random numbers.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Time by ticks: as fast as the plant and the clients answer, the same bit for bit for the same seed.
+    #[arg(long)]
+    lockstep: bool,
+    /// Lockstep: obstacle source that sends a set for every tick.
+    #[arg(long, value_name = "SOURCE", num_args = 1.., value_delimiter = ',', requires = "lockstep")]
+    await_obstacles: Vec<u32>,
+    /// Lockstep: a task client sends a target for every tick.
+    #[arg(long, requires = "lockstep")]
+    await_target: bool,
+    /// Lockstep: real time after which a source that does not deliver is no longer waited for (s).
+    #[arg(long, value_name = "SECONDS", requires = "lockstep", value_parser = super::positive_seconds)]
+    await_timeout: Option<f64>,
+    /// Arm as soon as the drives are ready, once.
+    #[arg(long)]
+    arm_on_start: bool,
+    /// Track as soon as the arm holds and there is a target, once.
+    #[arg(long)]
+    track_on_start: bool,
+    /// Tensions (N), one per cable, to which arming brings the cables; default: the arm's least ones.
+    #[arg(long, value_name = "N", num_args = 1.., value_delimiter = ',')]
+    start_tensions: Option<Vec<f64>>,
+}
+
+impl Run {
+    pub(crate) fn run(self) -> miette::Result<Outcome> {
+        let stop = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            // The second one ends the process at once; the drives then take themselves to the safe torque.
+            signal_hook::flag::register_conditional_shutdown(signal, 1, stop.clone()).into_diagnostic()?;
+            signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
+        }
+        let config = Config::load(&self.config)?;
+        let lockstep = self.lockstep.then(|| LockstepOptions {
+            obstacles: self.await_obstacles,
+            target: self.await_target,
+            timeout: self.await_timeout.map(Duration::from_secs_f64),
+        });
+        let options = Options {
+            lockstep,
+            record: self.record,
+            seed: self.seed,
+            auto: AutoRequests { arm: self.arm_on_start, track: self.track_on_start },
+            start_tensions_n: self.start_tensions,
+        };
+        let daemon = match Daemon::start(&config, &options) {
+            Ok(daemon) => daemon,
+            Err(error) => {
+                eprintln!("sinew run: {error}");
+                return Ok(Outcome::Unusable);
+            }
+        };
+        eprintln!("sinew: arm \"{}\", {} ms period; stop with Ctrl-C", config.ipc.arm, 1e3 * config.timing.period_s);
+        let mut heart = Heart::new();
+        match daemon.wait(&stop, |ticks| heart.beat(ticks)) {
+            Ok(Ending::Stopped) => Ok(Outcome::Done),
+            Ok(Ending::Faulted) => {
+                eprintln!("sinew: stopped with a fault latched");
+                Ok(Outcome::Failed)
+            }
+            Err(error) => {
+                eprintln!("sinew run: {error}");
+                Ok(Outcome::Failed)
+            }
+        }
+    }
+}
+
+/// Tells the service manager that the loop lives; silent where there is none. Fed by ticks alone: a hung control thread
+/// stops it, whatever else still runs.
+struct Heart {
+    watchdog: Option<Duration>,
+    last: (u64, Instant),
+    ready: bool,
+}
+
+impl Heart {
+    fn new() -> Self {
+        Self { watchdog: sd_notify::watchdog_enabled(), last: (0, Instant::now()), ready: false }
+    }
+
+    fn beat(&mut self, ticks: u64) {
+        if ticks == self.last.0 {
+            return;
+        }
+        if !self.ready {
+            self.ready = true;
+            tell(&[NotifyState::Ready]);
+        }
+        // Half of the time granted, as systemd advises.
+        if let Some(watchdog) = self.watchdog
+            && self.last.1.elapsed() > watchdog / 3
+        {
+            tell(&[NotifyState::Watchdog]);
+            self.last = (ticks, Instant::now());
+        } else {
+            self.last.0 = ticks;
+        }
+    }
+}
+
+fn tell(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "service manager not told");
+    }
+}

@@ -1,0 +1,473 @@
+//! The bus thread: what the buses return becomes encoder states in shared memory; what the supervisor wants of the
+//! drives becomes their state machines.
+//!
+//! Enters: frames of every bus, the control thread's wish. Leaves: `encoders` in shared memory, the drives' state for
+//! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
+
+use super::link::{DrivesEnd, LoopTime, Progress};
+use super::status::{BusStatus, DriveStatus, Shared};
+use crate::config::{BusConfig, Config};
+use crate::control::{DrivesInput, DrivesPhase};
+use crate::ipc::SourcePublisher;
+use crate::ipc::payload::{EncoderSource, Encoders};
+use sinew_hal::can::{CanBus, Received};
+use sinew_hal::canopen::Message;
+use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
+use sinew_hal::clock::monotonic_ns;
+use sinew_hal::load::{BitRates, Shape};
+use sinew_hal::motor_bank::MotorBank;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Source id of the encoder states.
+pub const ENCODER_SOURCE_ID: u32 = 1;
+/// How long one bus is listened to while the others wait.
+const TURN: Duration = Duration::from_micros(100);
+/// The same where there is no other.
+const TURN_ALONE: Duration = Duration::from_millis(1);
+/// Frames taken from one bus before the next has its turn.
+const FRAMES_PER_TURN: usize = 128;
+/// Pause between two attempts to bring drives up (ns).
+const RETRY_NS: u64 = 1_000_000_000;
+/// In lockstep: real time without a frame after which what is missing is given up (ns).
+const SILENCE_NS: u64 = 1_000_000_000;
+/// Silence that shows that all answers have come (ns).
+const QUIET_NS: u64 = 50_000_000;
+/// Interval of the statistics (ns).
+const STATISTICS_NS: u64 = 500_000_000;
+
+/// Causes that the master names and that have no emergency code; emergency codes are 0x1000 and above.
+const CAUSES: [&str; 9] = [
+    "fault without an emergency object",
+    "not usable: configuration failed",
+    "no boot-up after the reset",
+    "wrong NMT state",
+    "restarted by itself",
+    "heartbeat lost",
+    "a transition of the power state machine did not happen",
+    "no feedback",
+    "left torque operation by itself",
+];
+
+/// A drive fault's cause in words.
+pub fn cause_text(cause: u32) -> String {
+    match usize::try_from(cause).ok().and_then(|c| CAUSES.get(c)) {
+        Some(text) => (*text).to_owned(),
+        None => format!("emergency code {cause:04X}"),
+    }
+}
+
+fn cause_of(fault: &Fault) -> u32 {
+    match fault {
+        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => 1,
+        Fault::NoBootUp { .. } => 2,
+        Fault::Nmt { .. } => 3,
+        Fault::Rebooted => 4,
+        Fault::HeartbeatLost { .. } => 5,
+        Fault::Transition { .. } => 6,
+        Fault::NoFeedback { .. } => 7,
+        Fault::LeftOperation { .. } => 8,
+        Fault::Emergency(e) => u32::from(e.code),
+    }
+}
+
+/// What is remembered of a drive beside what the master knows.
+#[derive(Debug, Clone, Copy, Default)]
+struct Memory {
+    /// Heartbeat lost and not back.
+    lost: bool,
+    /// It was up once, so that silence means something.
+    seen: bool,
+    /// Last emergency code.
+    emergency: Option<u32>,
+    /// A cause that stays until a reset, although the drive's state no longer shows it.
+    sticky: Option<u32>,
+}
+
+/// One bus as this thread listens to it.
+struct Line {
+    bus: Box<dyn CanBus>,
+    rates: BitRates,
+    busy_s: f64,
+    frames: u64,
+}
+
+/// Everything that the bus thread owns.
+pub(crate) struct BusThread {
+    lines: Vec<Line>,
+    master: Master,
+    decoder: Decoder,
+    bank: MotorBank,
+    link: DrivesEnd,
+    publisher: SourcePublisher<Encoders>,
+    message: Box<Encoders>,
+    counts: Vec<i32>,
+    lengths: Vec<f64>,
+    memory: Vec<Memory>,
+    node_to_drive: Vec<(usize, u8)>,
+    time: LoopTime,
+    period_ns: u64,
+    /// Cycle whose answers belong to tick 0 (lockstep).
+    base_cycle: u64,
+    /// Cycle whose feedback was published last.
+    published: u64,
+    /// CLOCK_MONOTONIC at the first tick of lockstep (ns): the master's clock goes on from there.
+    epoch_ns: u64,
+    failed_since_ns: Option<u64>,
+    input: DrivesInput,
+    shared: Arc<Shared>,
+    statistics_ns: u64,
+}
+
+impl BusThread {
+    /// Puts it together; `buses` are handles of their own. The master has not been started.
+    pub(crate) fn new(
+        config: &Config,
+        master: Master,
+        bank: MotorBank,
+        buses: Vec<Box<dyn CanBus>>,
+        link: DrivesEnd,
+        publisher: SourcePublisher<Encoders>,
+        time: LoopTime,
+        shared: Arc<Shared>,
+    ) -> Self {
+        let cables = config.arm.cable_count();
+        let line = |(bus, settings): (Box<dyn CanBus>, &BusConfig)| Line {
+            bus,
+            rates: BitRates { nominal: settings.bitrate_bps, data: settings.data_bitrate_bps },
+            busy_s: 0.0,
+            frames: 0,
+        };
+        Self {
+            lines: buses.into_iter().zip(&config.drives.buses).map(line).collect(),
+            decoder: master.decoder(),
+            master,
+            bank,
+            link,
+            publisher,
+            message: Box::default(),
+            counts: vec![0; cables],
+            lengths: vec![0.0; cables],
+            memory: vec![Memory::default(); cables],
+            node_to_drive: config.drives.drives.iter().map(|d| (d.bus, d.node_id)).collect(),
+            time,
+            period_ns: super::tick::period_ns(config),
+            base_cycle: 0,
+            published: 0,
+            epoch_ns: 0,
+            failed_since_ns: None,
+            input: DrivesInput::default(),
+            shared,
+            statistics_ns: 0,
+        }
+    }
+
+    /// Lockstep: brings the drives up in real time, then sends the one cycle whose answers are the encoders of tick 0.
+    /// The sender of cycles, or how many drives were operational when the time was over.
+    ///
+    /// Meanwhile the master sends cycles of zero torque, for the clock of a plant in lockstep goes by SYNC. Nothing moves
+    /// in it before drives are enabled, so it does not matter how many there are.
+    pub(crate) fn bring_up(&mut self, within: Duration, progress: &Progress) -> Result<CycleWriter, usize> {
+        let begun_ns = monotonic_ns();
+        self.master.start(begun_ns);
+        loop {
+            let now_ns = monotonic_ns();
+            self.listen(now_ns);
+            let state = self.master.poll(now_ns);
+            self.note_faults();
+            if state.ready == state.drives {
+                break;
+            }
+            if now_ns.saturating_sub(begun_ns) > within.as_nanos() as u64 || progress.stop.load(Ordering::Acquire) {
+                return Err(state.ready);
+            }
+            self.retry(now_ns, state.failed);
+            self.statistics(now_ns);
+        }
+        // Answers to the master's own cycles must not be taken for those to the next one.
+        let Some(mut writer) = self.master.take_writer() else { return Err(0) };
+        let mut quiet_since_ns = monotonic_ns();
+        while monotonic_ns().saturating_sub(quiet_since_ns) < QUIET_NS {
+            if self.listen(monotonic_ns()).frames > 0 {
+                quiet_since_ns = monotonic_ns();
+            }
+        }
+        self.epoch_ns = monotonic_ns();
+        self.published = self.decoder.cycle();
+        self.update_input();
+        self.base_cycle = writer.write_cycle(&[]).cycle;
+        Ok(writer)
+    }
+
+    /// Number of drives.
+    pub(crate) fn drive_count(&self) -> usize {
+        self.memory.len()
+    }
+
+    /// Starts the drives (real time).
+    pub(crate) fn start(&mut self) {
+        self.master.start(monotonic_ns());
+    }
+
+    /// Runs until told to end.
+    pub(crate) fn run(mut self, progress: &Progress) {
+        let mut heard_ns = monotonic_ns();
+        while !progress.bus_stop.load(Ordering::Acquire) {
+            let real_ns = monotonic_ns();
+            let complete = self.listen(real_ns);
+            if complete.frames > 0 {
+                heard_ns = real_ns;
+            }
+            if self.time.is_lockstep() {
+                self.lockstep(complete.cycle, real_ns.saturating_sub(heard_ns));
+            } else {
+                self.follow(monotonic_ns());
+                self.publish_late(real_ns);
+            }
+            self.statistics(real_ns);
+        }
+    }
+
+    /// Real time: the wish, the drives, the state.
+    fn follow(&mut self, now_ns: u64) {
+        self.obey(now_ns);
+        let state = self.master.poll(now_ns);
+        self.note_faults();
+        if self.link.is_disarmed() {
+            self.retry(now_ns, state.failed);
+        }
+        self.update_input();
+    }
+
+    /// Lockstep: everything happens with the last answer to a SYNC, so that a run does not depend on when this thread
+    /// was scheduled; the state is there before the encoders that release the tick.
+    fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
+        let cycle = match complete {
+            Some(cycle) => cycle,
+            // Somebody does not answer any more: what there is goes out, and the guard has its say.
+            None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None => return,
+        };
+        let tick = cycle.saturating_sub(self.base_cycle);
+        let now_ns = self.epoch_ns + tick * self.period_ns;
+        self.follow(now_ns);
+        if complete.is_none() && self.decoder.missing() == DriveMask::first(self.memory.len()) {
+            self.input.phase = DrivesPhase::Off;
+            self.input.bus_lost = Some(0);
+            self.link.write(self.input);
+        }
+        self.publish(cycle, tick * self.period_ns, Some(tick));
+    }
+
+    /// Receives what waits, on all buses.
+    fn listen(&mut self, now_ns: u64) -> Heard {
+        let turn = if self.lines.len() == 1 { TURN_ALONE } else { TURN };
+        let mut heard = Heard::default();
+        for index in 0..self.lines.len() {
+            let mut wait = turn;
+            for _ in 0..FRAMES_PER_TURN {
+                let line = &mut self.lines[index];
+                let Ok(Some(received)) = line.bus.receive(wait) else { break };
+                let frame = &received.frame;
+                let extended = matches!(frame.id(), sinew_hal::can::Id::Extended(_));
+                let shape = Shape { extended, kind: frame.kind(), len: frame.len() };
+                line.busy_s += shape.bits(line.rates).time_s(line.rates);
+                line.frames += 1;
+                heard.frames += 1;
+                heard.cycle = self.on_frame(index, &received, now_ns).or(heard.cycle);
+                if heard.cycle.is_some() {
+                    break;
+                }
+                // Once something has come, the rest of it is there or on the next turn.
+                wait = Duration::ZERO;
+            }
+        }
+        heard
+    }
+
+    /// One frame; the cycle that it completed.
+    fn on_frame(&mut self, bus: usize, received: &Received, now_ns: u64) -> Option<u64> {
+        let lockstep = self.time.is_lockstep() && self.epoch_ns != 0;
+        let now_ns = if lockstep { self.epoch_ns + self.time.now_ns() } else { now_ns };
+        self.master.on_frame(bus, received, now_ns);
+        if let Some(Message::Heartbeat(node)) = Message::of(&received.frame)
+            && let Some(drive) = self.node_to_drive.iter().position(|d| *d == (bus, node.get()))
+        {
+            self.memory[drive].lost = false;
+            self.memory[drive].seen = true;
+        }
+        match self.decoder.on_frame(bus, received) {
+            Event::Complete { cycle, sync_ns } => {
+                if !lockstep && !self.time.is_lockstep() {
+                    self.publish(cycle, sync_ns, None);
+                }
+                Some(cycle)
+            }
+            _ => None,
+        }
+    }
+
+    /// Real time: a cycle that half a period after its SYNC is not complete goes out as it is.
+    fn publish_late(&mut self, now_ns: u64) {
+        let (cycle, sync_ns) = (self.decoder.cycle(), self.decoder.sync_ns());
+        let missing = self.decoder.missing();
+        let none = missing == DriveMask::first(self.memory.len());
+        if cycle > self.published && !none && now_ns.saturating_sub(sync_ns) > self.period_ns / 2 {
+            self.publish(cycle, sync_ns, None);
+        }
+    }
+
+    /// Publishes the feedback of a cycle; drives that did not answer have no valid entry.
+    fn publish(&mut self, cycle: u64, capture_ns: u64, tick: Option<u64>) {
+        let missing = self.decoder.missing();
+        for (count, feedback) in self.counts.iter_mut().zip(self.decoder.feedback()) {
+            *count = feedback.position_counts;
+        }
+        if self.bank.decode_lengths_into(&self.counts, &mut self.lengths).is_err() {
+            return; // one number per drive, by construction
+        }
+        let cables = self.lengths.len();
+        let message = &mut *self.message;
+        message.source = EncoderSource::Drives.wire();
+        message.set_all_valid(cables);
+        message.length_m[..cables].copy_from_slice(&self.lengths);
+        for (cable, (channel, feedback)) in self.bank.channels().iter().zip(self.decoder.feedback()).enumerate() {
+            message.tension_n[cable] = channel.decode_tension(feedback.torque_permille);
+        }
+        for cable in missing.iter().take_while(|cable| *cable < cables) {
+            message.length_valid[cable / 64] &= !(1 << (cable % 64));
+            message.tension_valid[cable / 64] &= !(1 << (cable % 64));
+        }
+        let published = match tick {
+            Some(tick) => self.publisher.publish_for_tick(message, capture_ns, tick),
+            None => self.publisher.publish(message, capture_ns),
+        };
+        self.published = cycle;
+        if let Err(error) = published {
+            // Not heard, it is an encoder that is silent: the guard's business.
+            tracing::warn!(%error, "encoders not published");
+        }
+    }
+
+    /// Carries out what the supervisor wants.
+    fn obey(&mut self, now_ns: u64) {
+        if self.link.take_reset() {
+            self.memory.iter_mut().for_each(|m| (m.sticky, m.emergency) = (None, None));
+            let unusable = self.master.status().any(|s| s.phase == Phase::Failed);
+            if unusable || self.memory.iter().any(|m| m.lost) {
+                self.master.start(now_ns);
+            } else {
+                self.master.reset_faults(now_ns);
+            }
+        }
+        let goal = if self.link.wants_torque() { Goal::Enabled } else { Goal::Disabled };
+        if goal != self.master.goal() {
+            self.master.set_goal(goal, now_ns);
+        }
+    }
+
+    /// Takes over the master's faults, and says each once.
+    fn note_faults(&mut self) {
+        for fault in self.master.take_faults() {
+            tracing::warn!("{fault}");
+            let memory = &mut self.memory[fault.drive];
+            match fault.fault {
+                Fault::Emergency(e) => memory.emergency = Some(u32::from(e.code)),
+                Fault::HeartbeatLost { .. } => memory.lost = true,
+                other => memory.sticky = Some(cause_of(&other)),
+            }
+        }
+    }
+
+    /// Starts over, a while after a drive was found unusable and while nothing moves.
+    fn retry(&mut self, now_ns: u64, failed: usize) {
+        if failed == 0 {
+            self.failed_since_ns = None;
+            return;
+        }
+        let since_ns = *self.failed_since_ns.get_or_insert(now_ns);
+        if now_ns.saturating_sub(since_ns) > RETRY_NS {
+            self.failed_since_ns = None;
+            self.memory.iter_mut().for_each(|m| (m.sticky, m.emergency) = (None, None));
+            self.master.start(now_ns);
+        }
+    }
+
+    /// What the control thread sees.
+    fn update_input(&mut self) {
+        let (mut enabled, mut ready, mut fault) = (0, 0, None);
+        for (cable, (status, memory)) in self.master.status().zip(&self.memory).enumerate() {
+            let state = status.state();
+            let up = status.phase == Phase::Ready && !memory.lost;
+            let faulted = matches!(state, Some(State::Fault | State::FaultReactionActive));
+            enabled += usize::from(up && state == Some(State::OperationEnabled));
+            let cause = if memory.lost {
+                Some(5)
+            } else if status.phase == Phase::Failed {
+                Some(memory.sticky.unwrap_or(1))
+            } else if faulted && status.phase == Phase::Ready {
+                Some(memory.emergency.unwrap_or(0))
+            } else {
+                memory.sticky
+            };
+            ready += usize::from(up && cause.is_none() && status.statusword.is_some());
+            fault = fault.or(cause.map(|cause| (cable as u16, cause)));
+        }
+        let count = self.memory.len();
+        let phase = match enabled {
+            0 => DrivesPhase::Off,
+            n if n == count => DrivesPhase::Enabled,
+            _ => DrivesPhase::Changing,
+        };
+        let bus_lost = (0..self.lines.len()).find(|bus| self.is_lost(*bus)).map(|bus| bus as u16);
+        self.input = DrivesInput { phase, ready: ready == count, fault, bus_lost };
+        self.link.write(self.input);
+    }
+
+    /// The bus carries nothing, or none of its drives that were there is heard.
+    fn is_lost(&self, bus: usize) -> bool {
+        if !self.lines[bus].bus.state().carries_frames() {
+            return true;
+        }
+        let mut drives = self.node_to_drive.iter().zip(&self.memory).filter(|(d, m)| d.0 == bus && m.seen).peekable();
+        drives.peek().is_some() && drives.all(|(_, m)| m.lost)
+    }
+
+    /// Statistics for `sinew status`, twice a second.
+    fn statistics(&mut self, real_ns: u64) {
+        let elapsed_ns = real_ns.saturating_sub(self.statistics_ns);
+        if elapsed_ns < STATISTICS_NS {
+            return;
+        }
+        self.statistics_ns = real_ns;
+        let line = |line: &mut Line| {
+            let share = std::mem::take(&mut line.busy_s) / (1e-9 * elapsed_ns as f64);
+            BusStatus {
+                load_measured: share,
+                state: format!("{:?}", line.bus.state()),
+                frames: line.frames,
+                lost: line.bus.counters().lost,
+            }
+        };
+        let buses = self.lines.iter_mut().map(line).collect();
+        let first = self.input.fault;
+        let drives = DriveStatus {
+            count: self.memory.len(),
+            ready: self.master.status().filter(|s| s.phase == Phase::Ready).count(),
+            enabled: self.master.status().filter(|s| s.state() == Some(State::OperationEnabled)).count(),
+            fault: first.map(|(cable, cause)| {
+                let (bus, node) = self.node_to_drive[usize::from(cable)];
+                format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause))
+            }),
+        };
+        self.shared.set_wires(buses, drives);
+    }
+}
+
+/// What a round of listening brought.
+#[derive(Debug, Clone, Copy, Default)]
+struct Heard {
+    frames: usize,
+    cycle: Option<u64>,
+}

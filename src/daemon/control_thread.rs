@@ -1,0 +1,254 @@
+//! The control thread: when a tick begins, and what becomes of late ones.
+
+use super::link::Progress;
+use super::tick::{AutoRequests, Controller, Parts, TickTime, Ticked, budget, period_ns};
+use super::warm_up::warm_up;
+use crate::config::Config;
+use crate::control::{Cycle, DrivesPhase, Mode, Settings};
+use crate::estimator::Observer;
+use crate::ipc::{ControlInputs, ControlOutputs, LockstepSources};
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew_hal::cia402::CycleWriter;
+use sinew_hal::clock::{Clock, Monotonic, monotonic_ns};
+use sinew_hal::motor_bank::MotorBank;
+use sinew_hal::realtime::{self, Report};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, Sender};
+use std::time::Duration;
+
+/// Longest that the ordered stop may take beyond its ramp (s); then the thread ends as it is, and the drives' guards
+/// take over.
+const STOP_S: f64 = 10.0;
+
+/// What the thread is made from; everything large is made on it, so that its memory is local.
+pub(crate) struct Plan {
+    pub(crate) config: Config,
+    pub(crate) settings: Settings,
+    pub(crate) inputs: ControlInputs,
+    pub(crate) outputs: ControlOutputs,
+    pub(crate) obstacles: super::obstacles::PairReader,
+    pub(crate) drives: super::link::DrivesLink,
+    pub(crate) bank: MotorBank,
+    pub(crate) time: super::link::LoopTime,
+    pub(crate) seed: u64,
+    pub(crate) auto: AutoRequests,
+    pub(crate) sources: LockstepSources,
+    pub(crate) lockstep_timeout: Duration,
+    pub(crate) progress: Arc<Progress>,
+}
+
+/// The thread's body: prepare, say what was granted, wait for the sender of cycles, run.
+pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleWriter>) {
+    let lockstep = plan.time.is_lockstep();
+    let timing = &plan.config.timing;
+    let request = realtime::Request {
+        priority: (!lockstep && timing.priority > 0).then_some(timing.priority),
+        cpus: timing.cpu.filter(|_| !lockstep).into_iter().collect(),
+        lock_memory: !lockstep && timing.lock_memory,
+        // The same arithmetic in both, so that a recording can be replayed.
+        flush_denormals: true,
+        ..realtime::Request::default()
+    };
+    let report = realtime::enter(&request);
+    let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
+    let parts = Parts {
+        cycle: Cycle::new(&plan.settings, observer),
+        inputs: plan.inputs,
+        outputs: plan.outputs,
+        obstacles: plan.obstacles,
+        drives: plan.drives,
+        bank: plan.bank,
+        time: plan.time,
+        rng: Xoshiro256PlusPlus::seed_from_u64(plan.seed),
+        auto: plan.auto,
+    };
+    let mut controller = Controller::new(&plan.config, parts);
+    if !lockstep {
+        warm_up(&plan.config, &plan.settings);
+    }
+    // Without a receiver, or without a sender, the start was given up.
+    if granted.send(report).is_err() {
+        return;
+    }
+    let Ok(mut writer) = writer.recv() else { return };
+    let last = if lockstep {
+        let gate = Gate::new(plan.sources, plan.lockstep_timeout, period_ns(&plan.config));
+        run_lockstep(&mut controller, &mut writer, gate, &plan.config, &plan.progress)
+    } else {
+        run_realtime(&mut controller, &mut writer, &plan.config, &plan.progress)
+    };
+    plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
+}
+
+/// Whether the ordered stop is over.
+struct Stopping {
+    since_ns: Option<u64>,
+    longest_ns: u64,
+}
+
+impl Stopping {
+    fn new(config: &Config) -> Self {
+        Self { since_ns: None, longest_ns: (1e9 * (config.timing.ramp_s + STOP_S)) as u64 }
+    }
+
+    fn is_over(&mut self, stop: bool, last: Option<&Ticked>) -> bool {
+        if !stop {
+            return false;
+        }
+        let Some(last) = last else { return true };
+        let now_ns = monotonic_ns();
+        let since_ns = *self.since_ns.get_or_insert(now_ns);
+        let at_rest = match last.mode {
+            Mode::Disarmed => true,
+            Mode::Faulted => last.drives.phase == DrivesPhase::Off,
+            _ => false,
+        };
+        at_rest || now_ns.saturating_sub(since_ns) > self.longest_ns
+    }
+}
+
+/// Absolute deadlines. A tick that begins when the next one is due is late; those that were due meanwhile are left out
+/// and counted, never replayed.
+fn run_realtime(
+    controller: &mut Controller<Observer>,
+    writer: &mut CycleWriter,
+    config: &Config,
+    progress: &Progress,
+) -> Option<Ticked> {
+    let (period_ns, budget) = (period_ns(config), budget(config));
+    let start_ns = monotonic_ns() + 2 * period_ns;
+    let mut stopping = Stopping::new(config);
+    let (mut tick, mut missed, mut last) = (0_u64, 0_u64, None);
+    loop {
+        let stop = progress.stop.load(Ordering::Acquire);
+        if stopping.is_over(stop, last.as_ref()) {
+            return last;
+        }
+        let mut scheduled_ns = start_ns + tick * period_ns;
+        Monotonic.sleep_until(scheduled_ns);
+        let woke_ns = monotonic_ns();
+        let wakeup_ns = woke_ns.saturating_sub(scheduled_ns);
+        let late = budget.is_late(scheduled_ns, woke_ns);
+        if late {
+            let skipped = wakeup_ns / period_ns;
+            tick += skipped;
+            missed += skipped;
+            scheduled_ns += skipped * period_ns;
+        }
+        let time = TickTime {
+            tick,
+            now_ns: scheduled_ns,
+            woke_ns,
+            wakeup_ns,
+            late,
+            plan_until_ns: Some(budget.plan_until_ns(scheduled_ns, woke_ns)),
+            missed,
+        };
+        last = Some(controller.tick(&time, stop, writer));
+        tick += 1;
+        progress.ticks.store(tick, Ordering::Release);
+    }
+}
+
+/// Time is ticks times the period; a tick begins when all its inputs are there.
+fn run_lockstep(
+    controller: &mut Controller<Observer>,
+    writer: &mut CycleWriter,
+    mut gate: Gate,
+    config: &Config,
+    progress: &Progress,
+) -> Option<Ticked> {
+    let period_ns = period_ns(config);
+    let mut stopping = Stopping::new(config);
+    let (mut tick, mut last) = (0_u64, None);
+    loop {
+        let began_ns = monotonic_ns();
+        gate.wait(controller.inputs_mut(), tick, progress);
+        // Looked at behind the gate: the tick that is decided on is the one that runs.
+        let stop = progress.stop.load(Ordering::Acquire);
+        if stopping.is_over(stop, last.as_ref()) {
+            return last;
+        }
+        let woke_ns = monotonic_ns();
+        let time = TickTime {
+            tick,
+            now_ns: tick * period_ns,
+            woke_ns,
+            wakeup_ns: woke_ns.saturating_sub(began_ns),
+            late: false,
+            plan_until_ns: None,
+            missed: 0,
+        };
+        last = Some(controller.tick(&time, stop, writer));
+        tick += 1;
+        progress.ticks.store(tick, Ordering::Release);
+    }
+}
+
+/// Waits for the inputs of a tick. A source that does not deliver in time is not waited for until it is back: the arm
+/// goes on without it, and its age leads to the declared action or to a fault.
+struct Gate {
+    sources: LockstepSources,
+    waiting_for: LockstepSources,
+    timeout_ns: u64,
+    period: Duration,
+}
+
+/// Rounds of looking again at once before the processor is left to others.
+const SPINS: u32 = 200;
+/// Nap between two looks.
+const NAP: Duration = Duration::from_micros(20);
+/// Time-out once the stop is asked for (ns): clients may have gone already.
+const STOP_TIMEOUT_NS: u64 = 200_000_000;
+
+impl Gate {
+    fn new(sources: LockstepSources, timeout: Duration, period_ns: u64) -> Self {
+        let timeout_ns = timeout.as_nanos() as u64;
+        Self { waiting_for: sources.clone(), sources, timeout_ns, period: Duration::from_nanos(period_ns) }
+    }
+
+    fn wait(&mut self, inputs: &mut ControlInputs, tick: u64, progress: &Progress) {
+        inputs.update();
+        self.take_back(inputs, tick);
+        if !self.waiting_for.encoders {
+            // Nothing else sets the pace of a loop without a plant.
+            std::thread::sleep(self.period);
+        }
+        let (began_ns, mut looks) = (monotonic_ns(), 0);
+        while !inputs.is_ready_for(tick, &self.waiting_for) {
+            looks += 1;
+            if looks < SPINS {
+                std::thread::yield_now()
+            } else {
+                std::thread::sleep(NAP)
+            }
+            let stop = progress.stop.load(Ordering::Acquire);
+            let timeout_ns = if stop { self.timeout_ns.min(STOP_TIMEOUT_NS) } else { self.timeout_ns };
+            if monotonic_ns().saturating_sub(began_ns) > timeout_ns {
+                self.give_up(inputs, tick);
+            }
+            inputs.update();
+        }
+    }
+
+    /// No longer waits for those who have not delivered.
+    fn give_up(&mut self, inputs: &ControlInputs, tick: u64) {
+        self.waiting_for.encoders &= inputs.encoders().is_ready_for(tick);
+        self.waiting_for.target &= inputs.target().is_ready_for(tick);
+        self.waiting_for.obstacles.retain(|id| inputs.obstacles().is_ready_for(tick, &[*id]));
+    }
+
+    /// Waits again for those who are back.
+    fn take_back(&mut self, inputs: &ControlInputs, tick: u64) {
+        self.waiting_for.encoders |= self.sources.encoders && inputs.encoders().is_ready_for(tick);
+        self.waiting_for.target |= self.sources.target && inputs.target().is_ready_for(tick);
+        for id in &self.sources.obstacles {
+            if !self.waiting_for.obstacles.contains(id) && inputs.obstacles().is_ready_for(tick, &[*id]) {
+                // Within the capacity that it was cloned with.
+                self.waiting_for.obstacles.push(*id);
+            }
+        }
+    }
+}

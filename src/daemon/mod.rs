@@ -1,0 +1,408 @@
+//! The daemon: threads around the controller, and nothing of the controller itself.
+//!
+//! Enters: a configuration and options. Leaves: torques on the buses, records in shared memory, a report about itself.
+//! It must never let telemetry, requests or logging delay the control thread, and never leave an arm under tension that
+//! nobody watches: whatever ends it, the drives are disabled in order or take themselves to the safe torque.
+//!
+//! | thread | scheduling | does |
+//! |---|---|---|
+//! | control | SCHED_FIFO, pinned, absolute deadlines | inputs, [`crate::control::Cycle`], torques onto the bus, record |
+//! | bus | SCHED_FIFO, one below | feedback into shared memory as `encoders`; brings drives up and down |
+//! | I/O | SCHED_FIFO, two below | every port of shared memory, both ways; statistics, recorder's queue |
+//! | main | normal | signals, `sd_notify`, status socket |
+//!
+//! The control thread allocates, locks and formats nothing once its first tick has begun, and touches no port: inputs come
+//! through triple buffers, torques leave by its own handles of the buses, records through a ring that drops and counts
+//! when it is full. `setup` turns the configuration into buses and drives, `tick` is the real path of a tick,
+//! `control_thread` says when it runs, `bus_thread` is the drives' side, `obstacles` builds what must not be built on
+//! the control thread, `records` translates, `status` and `statistics` tell about it, `warm_up` walks every path once.
+//!
+//! # Lockstep
+//!
+//! Tick k is at `k` times the period. It begins when the encoders of tick k are there, which answer the SYNC of tick
+//! k - 1, and an input for tick k or later of every declared source ([`Options::lockstep`]). The drives are brought up
+//! before tick 0. With a seed a run gives the same tensions bit for bit; requests of operators fall on whatever tick they
+//! meet, so a run that shall be repeated uses [`Options::auto`].
+
+mod bus_thread;
+mod control_thread;
+mod error;
+mod link;
+mod obstacles;
+mod records;
+mod setup;
+mod statistics;
+pub mod status;
+mod taps;
+mod tick;
+mod warm_up;
+
+#[cfg(test)]
+mod tests;
+
+pub use bus_thread::{ENCODER_SOURCE_ID, cause_text};
+pub use error::DaemonError;
+pub use records::{fault_of_code, refusal_text};
+pub use setup::{BusLoad, bus_loads, check, master_config, motor_bank};
+pub use statistics::{Percentiles, Stages};
+pub use tick::{AutoRequests, limits};
+
+use crate::config::Config;
+use crate::control::Settings;
+use crate::ipc::{
+    ChannelCapacity, Client, DaemonPorts, Domain, IoThread, LockstepSources, Pace, channels, monotonic_ns,
+};
+use crate::recording::Recorder;
+use bus_thread::BusThread;
+use link::{LoopTime, Progress, drives_link};
+use sinew_hal::can::{CanBus, Filter};
+use sinew_hal::cia402::Master;
+use sinew_hal::realtime;
+use status::{Fixed, Shared, StatusServer};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+use taps::Taps;
+
+/// Who a run in lockstep waits for, beside the encoders.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct LockstepOptions {
+    /// Obstacle sources that send a set for every tick.
+    pub obstacles: Vec<u32>,
+    /// A task client that sends a target for every tick.
+    pub target: bool,
+    /// Real time after which a source that does not deliver is no longer waited for; `None` for 5 s.
+    pub timeout: Option<Duration>,
+}
+
+/// How to run.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Time by ticks, not by the clock.
+    pub lockstep: Option<LockstepOptions>,
+    /// Recording of everything.
+    pub record: Option<PathBuf>,
+    /// Seed of the planner's random numbers.
+    pub seed: u64,
+    /// What the loop asks for by itself.
+    pub auto: AutoRequests,
+    /// Tensions (N), one per cable, to which arming brings the cables; the arm's least ones unless given.
+    pub start_tensions_n: Option<Vec<f64>>,
+}
+
+/// How it ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// Stopped, drives off.
+    Stopped,
+    /// Stopped with a fault latched.
+    Faulted,
+}
+
+/// Domain of shared memory of a configuration; the environment precedes it, as for every client.
+pub fn domain(config: &Config) -> Domain {
+    let default = Domain::default().env();
+    let environment = Domain::from_env();
+    let named = Domain::new(
+        config.ipc.prefix.clone(),
+        config.ipc.root_path.clone().unwrap_or_else(|| PathBuf::from(&default[1].1)),
+    );
+    let overridden = |variable| std::env::var_os(variable).is_some();
+    match (overridden(crate::ipc::PREFIX_VARIABLE), overridden(crate::ipc::ROOT_VARIABLE)) {
+        (false, false) => named,
+        (prefix, root) => {
+            let [(_, own_prefix), (_, own_root)] = named.env();
+            let [(_, env_prefix), (_, env_root)] = environment.env();
+            let prefix = if prefix { env_prefix } else { own_prefix };
+            Domain::new(prefix.to_string_lossy(), PathBuf::from(if root { env_root } else { own_root }))
+        }
+    }
+}
+
+/// Name of a domain for the status socket.
+pub fn domain_name(domain: &Domain) -> String {
+    let [(_, prefix), (_, root)] = domain.env();
+    format!("{}{}", root.to_string_lossy(), prefix.to_string_lossy())
+}
+
+/// Most obstacles, sources' records and events between two looks of the I/O thread.
+fn capacity(lockstep: bool) -> ChannelCapacity {
+    // In lockstep ticks come as fast as they compute.
+    if lockstep { ChannelCapacity { records: 256, ..ChannelCapacity::default() } } else { ChannelCapacity::default() }
+}
+
+/// A running daemon. Dropping it stops it in order.
+#[derive(Debug)]
+pub struct Daemon {
+    progress: Arc<Progress>,
+    shared: Arc<Shared>,
+    server: StatusServer,
+    control: Option<JoinHandle<()>>,
+    bus: Option<JoinHandle<()>>,
+    io: Option<JoinHandle<()>>,
+    failed_start: mpsc::Receiver<DaemonError>,
+}
+
+impl Daemon {
+    /// Starts all threads. In lockstep the first tick comes when the drives are up.
+    ///
+    /// # Errors
+    /// [`DaemonError`]; nothing is left running then.
+    pub fn start(config: &Config, options: &Options) -> Result<Self, DaemonError> {
+        let loads = setup::check(config)?;
+        let settings = settings(config, options)?;
+        let domain = domain(config);
+        let arm = &config.ipc.arm;
+        let ports = DaemonPorts::create(&domain, arm)?;
+        let server = StatusServer::bind(&domain_name(&domain), arm)?;
+        let lockstep = options.lockstep.is_some();
+        let shared = Arc::new(Shared::new(Fixed {
+            arm: arm.clone(),
+            lockstep,
+            period_s: config.timing.period_s,
+            buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
+        }));
+        let progress = Arc::new(Progress::default());
+        let mut daemon = {
+            let (_, none) = mpsc::channel();
+            let (progress, shared) = (progress.clone(), shared.clone());
+            Self { progress, shared, server, control: None, bus: None, io: None, failed_start: none }
+        };
+
+        let (masters, listeners) = bus_handles(config)?;
+        let mut master = Master::new(setup::master_config(config)?, masters)?;
+        let bank = setup::motor_bank(config)?;
+        let time = LoopTime::new(lockstep);
+
+        let sources = options.lockstep.clone().unwrap_or_default();
+        let declared = sources.obstacles.clone();
+        let segments = config.arm.segments.len();
+        let (inputs, outputs, ends) = channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
+        let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
+        let recorder = match &options.record {
+            Some(path) => Some(Recorder::start(path, arm, &about(options), 0)?),
+            None => None,
+        };
+        recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
+        let taps = Taps { pairs, shared: shared.clone(), recorder };
+        let io = IoThread::new(ports, ends, limits(config), taps);
+        let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
+        daemon.io = Some(spawn("sinew-io", below(2), {
+            let (progress, time) = (progress.clone(), time.clone());
+            let pace = if lockstep { Pace::Lockstep } else { Pace::default() };
+            move || io.run(pace, &progress.io_stop, || time.now_ns())
+        })?);
+
+        let publisher = Client::connect(&domain, arm)?.encoders(ENCODER_SOURCE_ID)?;
+        let (link, end) = drives_link();
+        // In lockstep the master keeps the sending of cycles until the drives are up.
+        let writer = if lockstep { None } else { master.take_writer() };
+        let bus = BusThread::new(config, master, bank.clone(), listeners, end, publisher, time.clone(), shared.clone());
+        let (to_control, from_bus) = mpsc::channel();
+        let (granted, report) = mpsc::channel();
+        let (failed, failed_start) = mpsc::channel();
+        daemon.failed_start = failed_start;
+        let plan = control_thread::Plan {
+            config: config.clone(),
+            settings,
+            inputs,
+            outputs,
+            obstacles: placed,
+            drives: link,
+            bank,
+            time,
+            seed: options.seed,
+            auto: options.auto,
+            sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
+            lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
+            progress: progress.clone(),
+        };
+        daemon.control = Some(spawn("sinew-control", 0, move || control_thread::run(plan, &granted, &from_bus))?);
+        let report = report.recv().map_err(|_| DaemonError::Panic { name: "sinew-control" })?;
+        let refused: Vec<String> = report.refused.iter().map(ToString::to_string).collect();
+        if config.timing.require_realtime && !lockstep {
+            report.require()?;
+        }
+        refused.iter().for_each(|refused| tracing::warn!("running degraded: {refused}"));
+        shared.set_refused(refused);
+        daemon.bus = Some(spawn("sinew-bus", below(1), {
+            let progress = progress.clone();
+            move || run_bus(bus, writer, &to_control, &failed, &progress)
+        })?);
+        Ok(daemon)
+    }
+
+    /// Asks for the ordered stop: ramp, drives off, end. Returns at once.
+    pub fn stop(&self) {
+        self.progress.stop.store(true, Ordering::Release);
+    }
+
+    /// Ticks done; grows only while the control thread lives and its ticks end.
+    pub fn ticks(&self) -> u64 {
+        self.progress.ticks.load(Ordering::Acquire)
+    }
+
+    /// The report, as [`status::ask`] gives it to others.
+    pub fn status(&self) -> status::StatusReport {
+        self.shared.report()
+    }
+
+    /// Answers who asks for the status; to be called every now and then.
+    pub fn serve(&self) {
+        self.server.serve(&self.shared);
+    }
+
+    /// Whether the control thread has ended.
+    pub fn is_over(&self) -> bool {
+        self.control.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Serves the status socket and tells `beat` how many ticks there were, about ten times a second, until the loop
+    /// has ended: after [`Daemon::stop`], or when `stop` is set.
+    ///
+    /// # Errors
+    /// The drives did not come up in lockstep, or a thread panicked.
+    pub fn wait(mut self, stop: &AtomicBool, mut beat: impl FnMut(u64)) -> Result<Ending, DaemonError> {
+        while !self.is_over() {
+            if stop.load(Ordering::Relaxed) {
+                self.stop();
+            }
+            self.serve();
+            beat(self.ticks());
+            std::thread::sleep(Duration::from_millis(if self.progress.stop.load(Ordering::Acquire) { 10 } else { 50 }));
+        }
+        let joined = self.join();
+        if let Ok(error) = self.failed_start.try_recv() {
+            return Err(error);
+        }
+        joined?;
+        match self.progress.ended() {
+            Some(true) => Ok(Ending::Faulted),
+            _ => Ok(Ending::Stopped),
+        }
+    }
+
+    /// Ends the threads in order: control first, so that nothing is sent into a void; the bus, whose master sees the
+    /// drives off; the I/O thread last, with what the others still had to say.
+    fn join(&mut self) -> Result<(), DaemonError> {
+        self.progress.stop.store(true, Ordering::Release);
+        let mut panicked = None;
+        let threads = [
+            ("sinew-control", self.control.take(), None),
+            ("sinew-bus", self.bus.take(), Some(&self.progress.bus_stop)),
+            ("sinew-io", self.io.take(), Some(&self.progress.io_stop)),
+        ];
+        for (name, thread, flag) in threads {
+            if let Some(flag) = flag {
+                flag.store(true, Ordering::Release);
+            }
+            if thread.is_some_and(|thread| thread.join().is_err()) {
+                panicked = panicked.or(Some(name));
+            }
+        }
+        panicked.map_or(Ok(()), |name| Err(DaemonError::Panic { name }))
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if let Err(error) = self.join() {
+            tracing::error!(%error, "stopping");
+        }
+    }
+}
+
+/// The bus thread's body.
+fn run_bus(
+    mut bus: BusThread,
+    writer: Option<sinew_hal::cia402::CycleWriter>,
+    to_control: &mpsc::Sender<sinew_hal::cia402::CycleWriter>,
+    failed: &mpsc::Sender<DaemonError>,
+    progress: &Progress,
+) {
+    const WITHIN: Duration = Duration::from_secs(30);
+    let writer = match writer {
+        Some(writer) => {
+            bus.start();
+            writer
+        }
+        None => match bus.bring_up(WITHIN, progress) {
+            Ok(writer) => writer,
+            Err(ready) => {
+                let drives = bus.drive_count();
+                // Whether or not somebody still listens, the control thread ends with its channel.
+                let _ = failed.send(DaemonError::NoDrives { waited_s: WITHIN.as_secs_f64(), ready, drives });
+                return;
+            }
+        },
+    };
+    if to_control.send(writer).is_ok() {
+        bus.run(progress);
+    }
+}
+
+/// Two handles of every bus: the master's, which only sends, and the bus thread's.
+fn bus_handles(config: &Config) -> Result<(Vec<Box<dyn CanBus>>, Vec<Box<dyn CanBus>>), DaemonError> {
+    let listeners = setup::open_buses(config)?;
+    let mut masters = Vec::with_capacity(listeners.len());
+    for (bus, settings) in listeners.iter().zip(&config.drives.buses) {
+        let duplicate = |source| DaemonError::Duplicate { name: settings.name.clone(), source };
+        let mut handle = bus.duplicate().map_err(duplicate)?;
+        // Nobody reads from it: what it would hear must not pile up. No frame of ours has this identifier.
+        if let Err(error) = handle.set_filters(&[Filter { value: 0x7ff, mask: 0x7ff }]) {
+            tracing::warn!(%error, bus = settings.name, "receive filter not set");
+        }
+        masters.push(handle);
+    }
+    Ok((masters, listeners))
+}
+
+fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError> {
+    let mut settings = Settings::new(config);
+    let Some(tensions) = &options.start_tensions_n else { return Ok(settings) };
+    let (cables, low, high) = (config.arm.cable_count(), config.arm.tension_n_min, config.arm.tension_n_max);
+    if tensions.len() != cables {
+        let why = format!("{} numbers for {cables} cables", tensions.len());
+        return Err(DaemonError::StartTensions { why });
+    }
+    if let Some(cable) = tensions.iter().position(|t| !(low..=high).contains(t)) {
+        let why = format!("{} N of cable {cable} is outside {low} to {high} N", tensions[cable]);
+        return Err(DaemonError::StartTensions { why });
+    }
+    settings.start_tensions_n.clone_from(tensions);
+    Ok(settings)
+}
+
+fn about(options: &Options) -> BTreeMap<String, String> {
+    BTreeMap::from([
+        ("seed".to_owned(), options.seed.to_string()),
+        ("lockstep".to_owned(), options.lockstep.is_some().to_string()),
+        ("began_ns".to_owned(), monotonic_ns().to_string()),
+    ])
+}
+
+/// A thread with a name and, above 0, a real-time priority, if it is granted: the control thread has said what is not.
+fn spawn(
+    name: &'static str,
+    priority: u8,
+    body: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, DaemonError> {
+    let enter = move || {
+        if priority > 0 {
+            let request = realtime::Request {
+                priority: Some(priority),
+                cpus: Vec::new(),
+                lock_memory: false,
+                prefault_stack: 0,
+                flush_denormals: false,
+            };
+            let _ = realtime::enter(&request);
+        }
+        body();
+    };
+    std::thread::Builder::new().name(name.into()).spawn(enter).map_err(|source| DaemonError::Thread { name, source })
+}

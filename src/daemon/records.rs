@@ -1,0 +1,326 @@
+//! From the controller's own values to those of shared memory: records, answers, events. Copies only.
+
+use super::obstacles::{PairReader, unkey};
+use crate::control::{Answer, Cause, Event, EventKind, Fault, Limit, Mode, Record, Refusal, Request, Target, Timing};
+use crate::ipc::payload::{
+    MAX_TRACKED, ObstacleDistance, PlannerBranch, PlannerStatus, RefusalReason, RequestKind, State, SupervisorState,
+    TargetMode, TickTiming,
+};
+use crate::ipc::{Command, Reply};
+use crate::planner::{Branch, Status};
+
+/// The mode on the wire.
+pub fn supervisor_state(mode: Mode) -> SupervisorState {
+    match mode {
+        Mode::Disarmed => SupervisorState::Disarmed,
+        Mode::Starting => SupervisorState::Arming,
+        Mode::Holding => SupervisorState::Holding,
+        Mode::Tracking => SupervisorState::Tracking,
+        Mode::Homing => SupervisorState::Homing,
+        Mode::Stopping => SupervisorState::Stopping,
+        Mode::Faulted => SupervisorState::Faulted,
+    }
+}
+
+/// The supervisor's request for a command; `None` where the supervisor has no part in it.
+pub fn request_of(kind: RequestKind) -> Option<Request> {
+    match kind {
+        RequestKind::Arm => Some(Request::Arm),
+        RequestKind::Disarm => Some(Request::Disarm),
+        RequestKind::Hold => Some(Request::Hold),
+        RequestKind::Track => Some(Request::Track),
+        RequestKind::Clear => Some(Request::Clear),
+        RequestKind::Stop => Some(Request::Stop),
+        RequestKind::Home => Some(Request::Home),
+        RequestKind::SetTarget | RequestKind::Status => None,
+    }
+}
+
+/// Why, on the wire. Where several refusals share a reason, `detail` tells them apart: see [`refusal_text`].
+pub fn refusal_reason(refusal: Refusal) -> (RefusalReason, u32) {
+    match refusal {
+        Refusal::Disarmed => (RefusalReason::WrongState, 1),
+        Refusal::Stopping => (RefusalReason::WrongState, 2),
+        Refusal::StillRamping => (RefusalReason::WrongState, 3),
+        Refusal::NothingLatched => (RefusalReason::WrongState, 4),
+        Refusal::DrivesNotReady => (RefusalReason::DrivesNotReady, 0),
+        Refusal::NotSettled => (RefusalReason::NotSettled, 0),
+        Refusal::NoTarget => (RefusalReason::NoTarget, 0),
+        Refusal::ObstaclesExpired => (RefusalReason::ObstaclesExpired, 0),
+        Refusal::Faulted => (RefusalReason::Faulted, 0),
+        Refusal::CausePersists => (RefusalReason::CausePersists, 0),
+    }
+}
+
+/// What to do about a refusal, for people.
+pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
+    match (reason, detail) {
+        (RefusalReason::WrongState, 1) => "the arm is disarmed: `sinew arm` first",
+        (RefusalReason::WrongState, 2) => "the arm is stopping: wait until it is disarmed",
+        (RefusalReason::WrongState, 3) => {
+            "the tensions are still on their way to the safe value: try again in a moment"
+        }
+        (RefusalReason::WrongState, 4) => "no fault is latched",
+        (RefusalReason::Faulted, _) => "a fault is latched: see `sinew status`, mend its cause, then `sinew clear`",
+        (RefusalReason::CausePersists, _) => "the cause of the fault persists: see `sinew status`",
+        (RefusalReason::DrivesNotReady, _) => "the drives are not ready: see `sinew status` for the first that is not",
+        (RefusalReason::NotSettled, _) => "the observer has not settled yet: wait until the arm is holding",
+        (RefusalReason::NoTarget, _) => {
+            "there is no fresh target: give one with `sinew target`, or start the task client"
+        }
+        (RefusalReason::ObstaclesExpired, _) => {
+            "obstacles are unknown or too old: start the perception client (an empty set says that nothing is there), or \
+             set `obstacles.require_source = false`"
+        }
+        (reason, _) => reason.text(),
+    }
+}
+
+/// The answer to a command that the supervisor has decided on.
+pub fn reply(command: &Command, answer: &Answer, mode: Mode, fault: Option<Fault>) -> Reply {
+    let accepted = Reply {
+        fault_code: fault.map_or(0, |f| f.code()),
+        fault_detail: fault.map_or(0, |f| f.detail()),
+        ..Reply::accepted(command, supervisor_state(mode))
+    };
+    match answer.refusal {
+        None => accepted,
+        Some(refusal) => {
+            let (reason, detail) = refusal_reason(refusal);
+            Reply { detail, verdict: crate::ipc::payload::Verdict::Refused, reason, ..accepted }
+        }
+    }
+}
+
+/// The fault of a code with the text of its kind, for whoever has only the record.
+pub fn fault_of_code(code: u32) -> Option<Fault> {
+    Fault::EXAMPLES.into_iter().find(|fault| fault.code() == code)
+}
+
+/// An event on the wire. Codes: a fault has its own (below 100), a limit its own (from 100) and 100 more where it ends,
+/// modes begin at 300 (detail: cause), requests at 400 (detail: 1 if refused).
+pub fn event(event: &Event) -> crate::ipc::Event {
+    let (code, detail, value, text) = match event.kind {
+        EventKind::Fault(fault) => (fault.code(), fault.detail(), value_of(&fault), fault.what()),
+        EventKind::LimitOn(limit) => (limit.code(), 0, 1.0, limit.text()),
+        EventKind::LimitOff(limit) => (limit.code() + 100, 0, 0.0, limit_over(limit)),
+        EventKind::Mode { to, cause, .. } => {
+            let state = supervisor_state(to);
+            (300 + state.wire(), cause_code(&cause), 0.0, state.text())
+        }
+        EventKind::Request(answer) => {
+            let kind = request_kind(answer.request);
+            (400 + kind.wire(), u32::from(answer.refusal.is_some()), 0.0, kind.text())
+        }
+    };
+    crate::ipc::Event { time_ns: event.now_ns, tick: event.tick, code, detail, value, text }
+}
+
+fn cause_code(cause: &Cause) -> u32 {
+    match cause {
+        Cause::Done => 0,
+        Cause::Fault(fault) => fault.code(),
+        Cause::Limit(limit) => limit.code(),
+        Cause::Request(request) => 400 + request_kind(*request).wire(),
+    }
+}
+
+fn request_kind(request: Request) -> RequestKind {
+    match request {
+        Request::Arm => RequestKind::Arm,
+        Request::Disarm => RequestKind::Disarm,
+        Request::Hold => RequestKind::Hold,
+        Request::Track => RequestKind::Track,
+        Request::Home => RequestKind::Home,
+        Request::Stop => RequestKind::Stop,
+        Request::Clear => RequestKind::Clear,
+    }
+}
+
+/// The number that a fault carries.
+fn value_of(fault: &Fault) -> f64 {
+    match *fault {
+        Fault::DriveFault { cause, .. } => f64::from(cause),
+        Fault::DrivesNotUp { after_s } | Fault::NotSettled { after_s } => after_s,
+        Fault::EncoderSilent { age_s, .. } => age_s,
+        Fault::EncoderJump { step_m, .. } => step_m,
+        Fault::EncoderStuck { motion_m, .. } => motion_m,
+        Fault::InnovationBound { innovation_rad } => innovation_rad,
+        Fault::InnovationGrowth { growth_rad } => growth_rad,
+        Fault::TensionOutside { tension_n, .. } => tension_n,
+        Fault::PlanSingular { count } | Fault::Overruns { count } => f64::from(count),
+        _ => 0.0,
+    }
+}
+
+fn limit_over(limit: Limit) -> &'static str {
+    match limit {
+        Limit::ObstaclesExpired => "obstacles known again",
+        Limit::TargetStale => "target there again",
+        Limit::RateLimited => "tension rate no longer limited",
+        Limit::OverrunHold | Limit::OverrunRamp => "ticks in time again",
+        Limit::BudgetSpent => "planning budget sufficient again",
+        Limit::Relaxed => "distance constraints kept again",
+        Limit::PlanSingular => "planning step succeeds again",
+        Limit::EncoderBridged => "all readings there again",
+    }
+}
+
+/// Fills the loop's part of a state from a record; the sources' part is the intake's. `warning` is the branch that plans
+/// in the warning subspace.
+pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: PlannerBranch, state: &mut State) {
+    state.supervisor = supervisor_state(record.mode).wire();
+    state.fault_code = record.fault.map_or(0, |latched| latched.fault.code());
+    state.fault_detail = record.fault.map_or(0, |latched| latched.fault.detail());
+    plan_into(record, warning, state);
+    state.target_mode = match record.target {
+        None => 0,
+        Some(Target::Tip { .. }) => TargetMode::Tip.wire(),
+        Some(Target::Shape { .. }) => TargetMode::Shape.wire(),
+    };
+    state.target_sequence = record.target_sequence;
+    let (cables, curvatures) = (record.cable_count, record.curvature_count);
+    state.cable_count = cables as u32;
+    state.segment_count = (curvatures / 2) as u32;
+    state.tension_command_n[..cables].copy_from_slice(&record.tension_command_n[..cables]);
+    state.tension_measured_n[..cables].copy_from_slice(&record.tension_measured_n[..cables]);
+    state.cable_length_m[..cables].copy_from_slice(&record.cable_length_m[..cables]);
+    state.tip_position_m = record.tip_position_m;
+    state.tip_quaternion = record.tip_quaternion;
+    state.tip_velocity_mps = record.tip_velocity_mps;
+    state.tip_angular_velocity_radps = record.tip_angular_velocity_radps;
+    state.target_position_m = [f64::NAN; 3];
+    state.target_quaternion = [f64::NAN; 4];
+    state.target_curvature_1pm = [f64::NAN; 16];
+    match record.target {
+        Some(Target::Tip { position_m, quaternion, .. }) => {
+            state.target_position_m = position_m.into();
+            state.target_quaternion = quaternion.into();
+        }
+        Some(Target::Shape { curvatures_1pm, .. }) => {
+            state.target_curvature_1pm[..curvatures].copy_from_slice(&curvatures_1pm[..curvatures]);
+        }
+        None => {}
+    }
+    state.tip_error_m = record.tip_error_m;
+    state.quaternion_error = record.quaternion_error;
+    state.curvature_error_1pm = record.curvature_error_1pm;
+    state.curvature_1pm[..curvatures].copy_from_slice(&record.curvature_1pm[..curvatures]);
+    state.innovation_rad[..curvatures].copy_from_slice(&record.innovation_rad[..curvatures]);
+    state.disturbance_nm[..curvatures].copy_from_slice(&record.disturbance_nm[..curvatures]);
+    state.node_count = record.node_count as u32;
+    state.node_stride = record.node_stride as u32;
+    for (i, node) in record.nodes[..record.node_count].iter().enumerate() {
+        let [x, y, z, qw, qx, qy, qz] = *node;
+        state.node_position_m[i] = [x, y, z];
+        state.node_quaternion[i] = [qw, qx, qy, qz];
+    }
+    distances_into(record, obstacles, state);
+    state.timing = timing(&record.timing);
+}
+
+fn plan_into(record: &Record, warning: PlannerBranch, state: &mut State) {
+    let Some(plan) = record.plan else {
+        state.planner_status = PlannerStatus::Idle.wire();
+        state.planner_branch = PlannerBranch::None.wire();
+        (state.newton_iterations, state.swarm_sweeps) = (0, 0);
+        (state.cost, state.kkt_residual) = (f64::NAN, f64::NAN);
+        return;
+    };
+    state.planner_status = match plan.status {
+        Status::Singular => PlannerStatus::Failed,
+        _ if plan.relaxed => PlannerStatus::Relaxed,
+        Status::Converged => PlannerStatus::Converged,
+        // A work budget, and the normal end in receding use.
+        Status::IterationLimit | Status::BudgetSpent => PlannerStatus::BudgetSpent,
+    }
+    .wire();
+    state.planner_branch = match plan.branch {
+        Branch::Safe => PlannerBranch::Safe,
+        Branch::Warning => warning,
+    }
+    .wire();
+    state.newton_iterations = plan.iterations as u32;
+    state.swarm_sweeps = plan.sweeps as u32;
+    state.cost = plan.cost;
+    state.kkt_residual = plan.kkt_residual;
+}
+
+fn distances_into(record: &Record, obstacles: &PairReader, state: &mut State) {
+    let mut count = 0;
+    state.distance_dropped = 0;
+    for (index, distance) in record.distances[..record.obstacle_count].iter().enumerate() {
+        if obstacles.is_parked(index) {
+            continue;
+        }
+        if count == MAX_TRACKED {
+            state.distance_dropped += 1;
+            continue;
+        }
+        let (source_id, obstacle_id) = unkey(distance.id);
+        state.distances[count] = ObstacleDistance {
+            source_id,
+            obstacle_id,
+            surface_distance_m: distance.along_arm_m,
+            growth_m: distance.growth_m,
+        };
+        count += 1;
+    }
+    state.distance_count = count as u32;
+}
+
+fn timing(t: &Timing) -> TickTiming {
+    TickTiming {
+        wakeup_ns: t.wakeup_ns,
+        input_ns: t.input_ns,
+        estimate_ns: t.estimate_ns,
+        plan_ns: t.plan_ns,
+        guard_ns: t.guard_ns,
+        send_ns: t.send_ns,
+        cycle_ns: t.cycle_ns,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_refusal_has_a_reason_and_a_text_of_its_own() {
+        let all = [
+            Refusal::Disarmed,
+            Refusal::Stopping,
+            Refusal::StillRamping,
+            Refusal::NothingLatched,
+            Refusal::DrivesNotReady,
+            Refusal::NotSettled,
+            Refusal::NoTarget,
+            Refusal::ObstaclesExpired,
+            Refusal::Faulted,
+            Refusal::CausePersists,
+        ];
+        let texts: std::collections::BTreeSet<_> =
+            all.iter().map(|r| refusal_reason(*r)).map(|(a, b)| refusal_text(a, b)).collect();
+        assert_eq!(texts.len(), all.len());
+    }
+
+    #[test]
+    fn every_fault_code_leads_back_to_its_words() {
+        for fault in Fault::EXAMPLES {
+            assert_eq!(fault_of_code(fault.code()).map(|f| f.what()), Some(fault.what()));
+        }
+        assert!(fault_of_code(0).is_none());
+    }
+
+    #[test]
+    fn a_refused_request_keeps_the_latched_fault_in_its_answer() {
+        let command = Command { ticket: 7, kind: RequestKind::Arm };
+        let answer = Answer { request: Request::Arm, refusal: Some(Refusal::Faulted) };
+        let reply = reply(&command, &answer, Mode::Faulted, Some(Fault::BusLost { bus: 3 }));
+        assert_eq!(
+            (reply.ticket, reply.reason, reply.fault_code, reply.fault_detail),
+            (7, RefusalReason::Faulted, 13, 3)
+        );
+        assert_eq!(reply.supervisor, SupervisorState::Faulted);
+    }
+}

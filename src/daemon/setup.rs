@@ -1,0 +1,219 @@
+//! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
+
+use super::error::DaemonError;
+use crate::config::{BusKind, Config, DriveConfig, ObserverKind};
+use crate::model::Arm;
+use sinew_hal::bus_config::{self, BusSpec};
+use sinew_hal::can::CanBus;
+use sinew_hal::canopen::NodeId;
+use sinew_hal::cia402::objects::{RPDO1, TORQUE_SLOPE, TPDO1};
+use sinew_hal::cia402::{DriveSetup, MasterConfig, ObjectWrite, Order};
+use sinew_hal::load::{BitRates, Load, Rate, Shape};
+use sinew_hal::motor_bank::{MotorBank, MotorChannel, Sense};
+
+/// Traffic of one bus as the configuration makes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BusLoad {
+    /// Name of the bus.
+    pub name: String,
+    /// Share of the bus, with worst-case stuffing.
+    pub share: f64,
+    /// Share that is permitted.
+    pub limit: f64,
+    /// Shortest period at which the limit holds (s); infinite if not even that helps.
+    pub period_s_min: f64,
+}
+
+/// Refuses what the configuration's own checks cannot know, before anything is opened; the load of every bus.
+///
+/// # Errors
+/// A bus above its load limit, a drive that cannot pull its cable, settings that the drives' protocol does not have.
+pub fn check(config: &Config) -> Result<Vec<BusLoad>, DaemonError> {
+    if config.observer.kind == ObserverKind::Kalman {
+        return Err(DaemonError::Observer);
+    }
+    motor_bank(config)?;
+    let master = master_config(config)?;
+    master.check(config.drives.buses.len())?;
+    let loads = bus_loads(config);
+    match loads.iter().find(|load| load.share > load.limit) {
+        Some(load) => Err(DaemonError::BusLoad { load: load.clone(), period_s: config.timing.period_s }),
+        None => Ok(loads),
+    }
+}
+
+/// The cyclic traffic and the heartbeats of every bus: per cycle one SYNC, and per drive one RPDO and one TPDO.
+pub fn bus_loads(config: &Config) -> Vec<BusLoad> {
+    let drives = &config.drives;
+    let bytes = |bits: u32| Shape::classic(bits.div_ceil(8) as usize);
+    let rpdo = bytes(RPDO1.iter().map(|m| u32::from(m.bits)).sum());
+    let tpdo = bytes(TPDO1.iter().map(|m| u32::from(m.bits)).sum());
+    drives
+        .buses
+        .iter()
+        .enumerate()
+        .map(|(index, bus)| {
+            let count = drives.drives.iter().filter(|drive| drive.bus == index).count() as f64;
+            let load = Load::new(BitRates { nominal: bus.bitrate_bps, data: bus.data_bitrate_bps })
+                .with(Shape::classic(0), Rate::PerCycle(1.0))
+                .with(rpdo, Rate::PerCycle(count))
+                .with(tpdo, Rate::PerCycle(count))
+                .with(Shape::classic(1), Rate::PerSecond((count + 1.0) / drives.heartbeat_s));
+            BusLoad {
+                name: bus.name.clone(),
+                share: load.share(1.0 / config.timing.period_s),
+                limit: bus.load_limit,
+                period_s_min: 1.0 / load.ceiling_hz(bus.load_limit),
+            }
+        })
+        .collect()
+}
+
+/// The motor bank. Encoders count from the straight arm: at 0 counts every cable has its length there.
+///
+/// # Errors
+/// A drive that cannot give the arm's largest tension.
+pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
+    let arm = Arm::new(&config.arm);
+    let mut lengths = vec![0.0; arm.cable_count()];
+    arm.cable_lengths_into(&arm.straight(), &mut lengths);
+    let channel = |(drive, length): (&DriveConfig, f64)| {
+        let channel = MotorChannel {
+            drum_radius_m: drive.drum_radius_m,
+            gear_ratio: drive.gear_ratio,
+            sense: if drive.sign < 0 { Sense::Reverse } else { Sense::Forward },
+            rated_torque_nm: drive.rated_torque_nm,
+            counts_per_turn: f64::from(drive.counts_per_turn),
+            // The lower end of the box is the planner's business; cables are slack while the drives come up.
+            tension_n_min: 0.0,
+            tension_n_max: config.arm.tension_n_max,
+            home_counts: 0,
+            home_length_m: length,
+        };
+        (channel, torque_permille_max(drive))
+    };
+    Ok(MotorBank::new(config.drives.drives.iter().zip(lengths).map(channel).collect())?)
+}
+
+fn torque_permille_max(drive: &DriveConfig) -> u16 {
+    (1000.0 * drive.torque_nm_max / drive.rated_torque_nm).round().clamp(0.0, 65535.0) as u16
+}
+
+/// The master's settings.
+///
+/// # Errors
+/// A node id out of range, or none left for the master.
+pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
+    let drives = &config.drives;
+    let sync_timeout_us = microseconds(drives.sync_timeout_s);
+    let mut setups = Vec::with_capacity(drives.drives.len());
+    for drive in &drives.drives {
+        let node = NodeId::new(drive.node_id).map_err(|_| DaemonError::NodeId { found: drive.node_id })?;
+        let permille_per_n = 1000.0 * drive.torque_nm(1.0) / drive.rated_torque_nm;
+        let safe = f64::from(drive.sign) * (drives.safe_tension_n * permille_per_n).round();
+        let safe = safe.clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16;
+        // From the largest torque to zero in the time given.
+        let slope = f64::from(torque_permille_max(drive)) / drives.safe_ramp_s.max(1e-3);
+        let mut setup = DriveSetup::new(drive.bus, node);
+        setup.rated_torque_mnm = Some((1000.0 * drive.rated_torque_nm).round() as u32);
+        setup.torque_permille_max = torque_permille_max(drive);
+        // A foreign drive may lack these: its consumer heartbeat (1016) protects it all the same.
+        let slope = ObjectWrite {
+            index: TORQUE_SLOPE,
+            sub: 0,
+            data: (slope.round() as u32).to_le_bytes().to_vec(),
+            optional: true,
+        };
+        let guard = ObjectWrite::sinew_guard(sync_timeout_us, safe).map(|w| ObjectWrite { optional: true, ..w });
+        setup.writes = guard.into_iter().chain([slope]).collect();
+        setups.push(setup);
+    }
+    let own = (1..=127).rev().find(|id| drives.drives.iter().all(|drive| drive.node_id != *id));
+    let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
+    let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
+    master.heartbeat_ms = milliseconds(drives.heartbeat_s);
+    master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
+    master.drive_heartbeat_ms = milliseconds(drives.heartbeat_s);
+    master.drive_heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
+    // From the tip to the base, so that no distal cable pulls on a segment that has gone slack.
+    master.order_of_disabling = Order::OneByOneReversed;
+    Ok(master)
+}
+
+fn microseconds(seconds: f64) -> u32 {
+    (1e6 * seconds).round() as u32
+}
+
+fn milliseconds(seconds: f64) -> u16 {
+    (1e3 * seconds).round().clamp(1.0, 65535.0) as u16
+}
+
+/// Opens every bus.
+///
+/// # Errors
+/// The first that does not open, with its reason.
+pub fn open_buses(config: &Config) -> Result<Vec<Box<dyn CanBus>>, DaemonError> {
+    let open = |bus: &crate::config::BusConfig| {
+        let kind = match bus.kind {
+            BusKind::Virtual => bus_config::BusKind::Virtual,
+            BusKind::Socketcan => bus_config::BusKind::Socketcan,
+        };
+        let mut spec = BusSpec::new(kind, bus.interface.clone());
+        spec.fd = bus.fd;
+        // Two cycles of a full bus: what is older is not worth sending.
+        spec.queue_length = 256;
+        bus_config::open(&spec).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
+    };
+    config.drives.buses.iter().map(open).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::BUILTIN_FILES;
+
+    fn config(change: impl Fn(&mut Config)) -> Config {
+        let texts = BUILTIN_FILES
+            .iter()
+            .filter(|(name, _)| ["arm.toml", "controller.toml", "drives.toml"].contains(name))
+            .map(|(name, text)| ((*name).to_owned(), (*text).to_owned()))
+            .collect();
+        let mut config = Config::parse(texts).unwrap();
+        change(&mut config);
+        config
+    }
+
+    #[test]
+    fn the_shipped_configuration_loads_its_bus_as_the_design_computed() {
+        let loads = check(&config(|_| {})).unwrap();
+        // 24 axes on one classic bus of 1 Mbit/s take 5.6 ms per cycle, and heartbeats a little more.
+        assert!((0.53..0.62).contains(&loads[0].share), "{loads:?}");
+        assert!((1.0 / loads[0].period_s_min) < 179.0 * 0.7, "{loads:?}");
+    }
+
+    #[test]
+    fn a_period_that_the_bus_cannot_carry_is_refused_with_the_one_that_it_can() {
+        let error = check(&config(|c| c.timing.period_s = 0.005)).unwrap_err();
+        let text = error.to_string();
+        for part in ["bus0", "70 %", "period_s"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
+    }
+
+    #[test]
+    fn a_tension_comes_out_as_the_torque_that_drum_and_gear_need() {
+        let bank = motor_bank(&config(|_| {})).unwrap();
+        let mut torques = [0; 24];
+        bank.encode_into(&[100.0; 24], &mut torques).unwrap();
+        // 100 N on 15 mm behind a gear of 10: 0.15 N m of 0.35.
+        assert_eq!(torques, [429; 24]);
+    }
+
+    #[test]
+    fn the_master_has_a_node_id_that_no_drive_has() {
+        let config = config(|c| c.drives.drives[23].node_id = 127);
+        let master = master_config(&config).unwrap();
+        assert_eq!(master.node.get(), 126);
+        assert!(master.check(1).is_ok());
+    }
+}

@@ -1,0 +1,358 @@
+//! What the daemon tells about itself: a report as JSON, over a socket without a file.
+//!
+//! Shared memory carries the record of every tick; percentiles, buses, rights and sources over the whole run are for
+//! people and dashboards, and come from here. The socket lives in Linux's abstract name space, so a killed daemon leaves
+//! nothing behind. One connection, one report, closed.
+
+use super::error::DaemonError;
+use super::statistics::{Stages, Statistics};
+use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::{self, Read, Write};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// The latched fault in words.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FaultStatus {
+    /// Code, as in `State`.
+    pub code: u32,
+    /// Cable, bus or count, by code.
+    pub detail: u32,
+    /// What happened.
+    pub what: String,
+    /// What clears it.
+    pub clears: String,
+}
+
+/// A bus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BusReport {
+    /// Name.
+    pub name: String,
+    /// Share of the bus by computation, with worst-case stuffing.
+    pub load_computed: f64,
+    /// Permitted share.
+    pub load_limit: f64,
+    /// Share of the bus that the frames of the last half second took, with worst-case stuffing.
+    pub load_measured: f64,
+    /// State of the controller.
+    pub state: String,
+    /// Frames seen.
+    pub frames: u64,
+    /// Frames that this process was too slow for.
+    pub lost: u64,
+}
+
+/// What the bus thread knows of a bus.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct BusStatus {
+    pub(crate) load_measured: f64,
+    pub(crate) state: String,
+    pub(crate) frames: u64,
+    pub(crate) lost: u64,
+}
+
+/// The drives.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct DriveStatus {
+    /// How many there are.
+    pub count: usize,
+    /// Configured and operational.
+    pub ready: usize,
+    /// Giving torque.
+    pub enabled: usize,
+    /// The first in fault: which, and why.
+    pub fault: Option<String>,
+}
+
+/// A source of inputs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SourceStatus {
+    /// Source id.
+    pub id: u32,
+    /// Fresh, stale, expired, absent.
+    pub health: String,
+    /// Age of its newest content (s); null if there is none.
+    pub age_s: Option<f64>,
+    /// Messages accepted.
+    pub accepted: u64,
+    /// Messages rejected, by cause; causes that never occurred are left out.
+    pub rejected: BTreeMap<String, u64>,
+}
+
+/// Everything.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StatusReport {
+    /// Version of the daemon.
+    pub version: String,
+    /// Name of the arm.
+    pub arm: String,
+    /// Process id.
+    pub pid: u32,
+    /// Whether time is ticks times the period.
+    pub lockstep: bool,
+    /// Mode.
+    pub mode: String,
+    /// The latched fault.
+    pub fault: Option<FaultStatus>,
+    /// Ticks done.
+    pub ticks: u64,
+    /// Period (s).
+    pub period_s: f64,
+    /// Ticks left out because the loop was late.
+    pub missed: u64,
+    /// Records and events that found their queue full.
+    pub records_dropped: u64,
+    /// Messages that the recorder dropped; null without a recording.
+    pub recording_dropped: Option<u64>,
+    /// Real-time rights that were not granted, each with its remedy.
+    pub realtime_refused: Vec<String>,
+    /// Buses.
+    pub buses: Vec<BusReport>,
+    /// Drives.
+    pub drives: DriveStatus,
+    /// Encoders.
+    pub encoders: SourceStatus,
+    /// Target.
+    pub target: SourceStatus,
+    /// Obstacle sources.
+    pub obstacles: Vec<SourceStatus>,
+    /// Obstacle sets refused because all places for sources are taken.
+    pub obstacle_sources_refused: u64,
+    /// Time per tick (us), by branch of the planner, then by stage.
+    pub time_us: BTreeMap<String, Stages>,
+}
+
+/// What never changes over a run.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Fixed {
+    pub(crate) arm: String,
+    pub(crate) lockstep: bool,
+    pub(crate) period_s: f64,
+    /// Name, computed load, limit.
+    pub(crate) buses: Vec<(String, f64, f64)>,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    realtime_refused: Vec<String>,
+    buses: Vec<BusStatus>,
+    drives: DriveStatus,
+    statistics: Statistics,
+    state: Option<Box<State>>,
+    recording_dropped: Option<std::sync::Arc<std::sync::atomic::AtomicU64>>,
+}
+
+/// Gathered from the I/O thread, the bus thread and the main thread; the control thread has no part in it.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    fixed: Fixed,
+    inner: Mutex<Inner>,
+}
+
+impl Shared {
+    pub(crate) fn new(fixed: Fixed) -> Self {
+        Self { fixed, inner: Mutex::default() }
+    }
+
+    /// A thread that panicked leaves numbers, which are as good as any.
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn set_wires(&self, buses: Vec<BusStatus>, drives: DriveStatus) {
+        let mut inner = self.lock();
+        (inner.buses, inner.drives) = (buses, drives);
+    }
+
+    pub(crate) fn set_refused(&self, refused: Vec<String>) {
+        self.lock().realtime_refused = refused;
+    }
+
+    pub(crate) fn set_recorder(&self, dropped: std::sync::Arc<std::sync::atomic::AtomicU64>) {
+        self.lock().recording_dropped = Some(dropped);
+    }
+
+    pub(crate) fn note(&self, state: &State) {
+        let mut inner = self.lock();
+        inner.statistics.note(state);
+        match &mut inner.state {
+            Some(place) => **place = *state,
+            None => inner.state = Some(Box::new(*state)),
+        }
+    }
+
+    /// The report as of now.
+    pub(crate) fn report(&self) -> StatusReport {
+        let inner = self.lock();
+        let state = inner.state.as_deref().copied().unwrap_or_default();
+        let fixed = &self.fixed;
+        let bus = |(i, (name, computed, limit)): (usize, &(String, f64, f64))| {
+            let seen = inner.buses.get(i);
+            BusReport {
+                name: name.clone(),
+                load_computed: *computed,
+                load_limit: *limit,
+                load_measured: seen.map_or(0.0, |b| b.load_measured),
+                state: seen.map_or_else(String::new, |b| b.state.clone()),
+                frames: seen.map_or(0, |b| b.frames),
+                lost: seen.map_or(0, |b| b.lost),
+            }
+        };
+        let absent = SourceHealth::Absent.wire();
+        let used = |s: &&SourceReport| s.health != absent || s.source_id != 0 || s.rejected_total() > 0;
+        StatusReport {
+            version: env!("CARGO_PKG_VERSION").into(),
+            arm: fixed.arm.clone(),
+            pid: std::process::id(),
+            lockstep: fixed.lockstep,
+            mode: mode_text(state.supervisor).into(),
+            fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
+            ticks: inner.state.as_ref().map_or(0, |s| s.header.tick + 1),
+            period_s: fixed.period_s,
+            missed: state.ticks_missed,
+            records_dropped: state.records_dropped,
+            recording_dropped: inner
+                .recording_dropped
+                .as_ref()
+                .map(|dropped| dropped.load(std::sync::atomic::Ordering::Relaxed)),
+            realtime_refused: inner.realtime_refused.clone(),
+            buses: fixed.buses.iter().enumerate().map(bus).collect(),
+            drives: inner.drives.clone(),
+            encoders: source_status(&state.encoder_report),
+            target: source_status(&state.target_report),
+            obstacles: state.obstacle_sources.iter().filter(used).map(source_status).collect(),
+            obstacle_sources_refused: state.obstacle_sources_refused,
+            time_us: inner.statistics.stages(),
+        }
+    }
+}
+
+fn mode_text(supervisor: u32) -> &'static str {
+    SupervisorState::from_wire(supervisor).map_or("unknown", SupervisorState::text)
+}
+
+/// The fault of a record in words.
+pub fn fault_status(code: u32, detail: u32, drive: Option<&str>) -> Option<FaultStatus> {
+    if code == 0 {
+        return None;
+    }
+    let fault = super::records::fault_of_code(code);
+    let mut what = fault.map_or("a fault of another version of sinew", |f| f.what()).to_owned();
+    match code {
+        10 | 20..=22 | 40 | 41 => what += &format!(" (cable {detail})"),
+        13 => what += &format!(" (bus {detail})"),
+        42 | 50 => what += &format!(" ({detail})"),
+        _ => {}
+    }
+    if let (10..=13, Some(drive)) = (code, drive) {
+        what += &format!(": {drive}");
+    }
+    let clears = fault.map_or("see the documentation of that version", |f| f.remedy()).to_owned();
+    Some(FaultStatus { code, detail, what, clears })
+}
+
+fn source_status(report: &SourceReport) -> SourceStatus {
+    let rejected = report.rejected.iter().zip(0..).filter(|(n, _)| **n > 0).map(|(n, cause)| {
+        let text = RejectCause::from_wire(cause).map_or_else(|| cause.to_string(), |c| c.text().to_owned());
+        (text, *n)
+    });
+    SourceStatus {
+        id: report.source_id,
+        health: SourceHealth::from_wire(report.health).map_or("unknown", SourceHealth::text).into(),
+        age_s: report.age_s.is_finite().then_some(report.age_s),
+        accepted: report.accepted,
+        rejected: rejected.collect(),
+    }
+}
+
+/// Name of the socket of an arm in a domain (prefix and root path keep domains apart, as in shared memory).
+fn address(domain: &str, arm: &str) -> io::Result<SocketAddr> {
+    SocketAddr::from_abstract_name(format!("sinew/{domain}/{arm}/status"))
+}
+
+/// Answers whoever connects.
+#[derive(Debug)]
+pub(crate) struct StatusServer(UnixListener);
+
+impl StatusServer {
+    pub(crate) fn bind(domain: &str, arm: &str) -> Result<Self, DaemonError> {
+        let bind = || {
+            let listener = UnixListener::bind_addr(&address(domain, arm)?)?;
+            listener.set_nonblocking(true)?;
+            Ok(listener)
+        };
+        bind().map(Self).map_err(|source| DaemonError::StatusSocket { arm: arm.to_owned(), source })
+    }
+
+    /// Serves those who wait.
+    pub(crate) fn serve(&self, shared: &Shared) {
+        while let Ok((mut stream, _)) = self.0.accept() {
+            let answer = serde_json::to_vec(&shared.report()).unwrap_or_default();
+            // Whoever does not read is not worth waiting for.
+            let sent = stream
+                .set_nonblocking(false)
+                .and_then(|()| stream.set_write_timeout(Some(Duration::from_millis(100))))
+                .and_then(|()| stream.write_all(&answer));
+            if let Err(error) = sent {
+                tracing::debug!(%error, "status not delivered");
+            }
+        }
+    }
+}
+
+/// Asks the daemon of an arm for its report; `None` if none answers.
+///
+/// # Errors
+/// It answers with something else: another version.
+pub fn ask(domain: &str, arm: &str) -> io::Result<Option<StatusReport>> {
+    let mut stream = match UnixStream::connect_addr(&address(domain, arm)?) {
+        Ok(stream) => stream,
+        Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => return Ok(None),
+        Err(e) => return Err(e),
+    };
+    stream.set_read_timeout(Some(Duration::from_secs(5)))?;
+    let mut text = Vec::new();
+    stream.read_to_end(&mut text)?;
+    serde_json::from_slice(&text).map(Some).map_err(io::Error::other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ipc::payload::Header;
+
+    #[test]
+    fn a_report_comes_back_through_the_socket_as_it_was() {
+        let domain = format!("test-{}", std::process::id());
+        assert!(ask(&domain, "arm").unwrap().is_none(), "nobody listens");
+        let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
+        let shared = Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses });
+        let mut state = State {
+            header: Header { tick: 41, ..Header::default() },
+            fault_code: 20,
+            fault_detail: 3,
+            ..State::default()
+        };
+        state.obstacle_sources[0].source_id = 7;
+        state.obstacle_sources[0].rejected[RejectCause::NotFinite.wire() as usize] = 2;
+        shared.note(&state);
+        let server = StatusServer::bind(&domain, "arm").unwrap();
+        assert!(StatusServer::bind(&domain, "arm").is_err(), "one daemon, one socket");
+        let asking = std::thread::spawn(move || ask(&domain, "arm").unwrap().unwrap());
+        while !asking.is_finished() {
+            server.serve(&shared);
+        }
+        let report = asking.join().unwrap();
+        assert_eq!(report, shared.report());
+        assert_eq!(report.ticks, 42);
+        assert_eq!(report.obstacles[0].rejected, BTreeMap::from([("NaN or infinite number".to_owned(), 2)]));
+        let fault = report.fault.unwrap();
+        assert_eq!(fault.what, "an encoder is silent (cable 3)");
+        assert!(fault.clears.contains("clear"));
+    }
+}

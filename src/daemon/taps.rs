@@ -1,0 +1,47 @@
+//! What sees everything that passes the I/O thread: the builder of obstacle sets, the statistics, the log, the recorder.
+
+use super::obstacles::PairBuilder;
+use super::status::Shared;
+use crate::ipc::payload::{Obstacles, State, Target};
+use crate::ipc::{Event, Tap};
+use crate::recording::Recorder;
+use std::sync::Arc;
+
+pub(crate) struct Taps {
+    pub(crate) pairs: PairBuilder,
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) recorder: Option<Recorder>,
+}
+
+impl Tap for Taps {
+    fn state(&mut self, state: &State) {
+        self.shared.note(state);
+        self.recorder.state(state);
+    }
+
+    fn obstacles(&mut self, obstacles: &Obstacles) {
+        self.pairs.accept(obstacles);
+        self.recorder.obstacles(obstacles);
+    }
+
+    fn target(&mut self, target: &Target) {
+        self.recorder.target(target);
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event.code {
+            0..100 => tracing::error!(
+                code = event.code,
+                detail = event.detail,
+                value = event.value,
+                tick = event.tick,
+                "fault: {}",
+                event.text
+            ),
+            100..300 => tracing::info!(code = event.code, tick = event.tick, "{}", event.text),
+            300..400 => tracing::info!(cause = event.detail, tick = event.tick, "mode: {}", event.text),
+            _ => tracing::info!(refused = event.detail, tick = event.tick, "request: {}", event.text),
+        }
+        self.recorder.event(event);
+    }
+}

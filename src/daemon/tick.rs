@@ -1,0 +1,357 @@
+//! One tick of the real path: inputs from the channels, the cycle, torques onto the bus, the record to the I/O thread.
+//!
+//! Nothing here allocates, locks, formats or touches a port of shared memory.
+
+use super::link::{DrivesLink, LoopTime};
+use super::obstacles::PairReader;
+use super::records;
+use crate::config::{Config, WarningBranch};
+use crate::control::{
+    Budget, CableMask, Cycle, Deadline, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request,
+    Target, TargetInput, TickInputs, Timing,
+};
+use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
+use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
+use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew_hal::cia402::CycleWriter;
+use sinew_hal::clock::monotonic_ns;
+use sinew_hal::motor_bank::MotorBank;
+
+/// Thresholds of all inputs as the configuration has them. Targets age like obstacles: both are clients' promises.
+pub fn limits(config: &Config) -> IoLimits {
+    let policy = &config.obstacles;
+    let obstacles = InputLimits {
+        stale_after_s: policy.stale_after_s,
+        hold_after_s: policy.hold_after_s,
+        growth_mps: policy.growth_mps,
+        sigma_multiple: policy.sigma_multiple,
+        future_tolerance_s: policy.future_tolerance_s,
+    };
+    let silent_s = config.guard.encoder_silent_s;
+    let encoders = InputLimits { stale_after_s: silent_s, hold_after_s: silent_s.max(1.0), ..InputLimits::default() };
+    IoLimits { obstacles, target: InputLimits { growth_mps: 0.0, ..obstacles }, encoders }
+}
+
+/// What the loop asks for by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct AutoRequests {
+    /// Arm as soon as the drives are ready, once.
+    pub arm: bool,
+    /// Track as soon as the arm holds and there are a target and known obstacles, once.
+    pub track: bool,
+}
+
+/// When a tick is.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TickTime {
+    pub(crate) tick: u64,
+    /// Time of the tick in the loop's clock (ns).
+    pub(crate) now_ns: u64,
+    /// CLOCK_MONOTONIC at wake-up (ns).
+    pub(crate) woke_ns: u64,
+    /// The wake-up's delay (ns).
+    pub(crate) wakeup_ns: u64,
+    /// The next tick was due already.
+    pub(crate) late: bool,
+    /// CLOCK_MONOTONIC at which planning must end (ns); `None` in lockstep.
+    pub(crate) plan_until_ns: Option<u64>,
+    /// Ticks left out so far.
+    pub(crate) missed: u64,
+}
+
+/// What the loop must know after a tick.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ticked {
+    pub(crate) mode: Mode,
+    pub(crate) drives: DrivesInput,
+}
+
+/// Everything that the control thread owns.
+pub(crate) struct Controller<E> {
+    cycle: Cycle<E>,
+    inputs: ControlInputs,
+    outputs: ControlOutputs,
+    obstacles: PairReader,
+    drives: DrivesLink,
+    bank: MotorBank,
+    time: LoopTime,
+    limits: IoLimits,
+    require_source: bool,
+    lookahead_s: f64,
+    period_ns: u64,
+    rng: Xoshiro256PlusPlus,
+    auto: AutoRequests,
+    warning: PlannerBranch,
+    torques: Vec<i16>,
+    lengths: Vec<f64>,
+    measured: Vec<f64>,
+    state: Box<State>,
+}
+
+/// The parts that a controller is put together from.
+pub(crate) struct Parts<E> {
+    pub(crate) cycle: Cycle<E>,
+    pub(crate) inputs: ControlInputs,
+    pub(crate) outputs: ControlOutputs,
+    pub(crate) obstacles: PairReader,
+    pub(crate) drives: DrivesLink,
+    pub(crate) bank: MotorBank,
+    pub(crate) time: LoopTime,
+    pub(crate) rng: Xoshiro256PlusPlus,
+    pub(crate) auto: AutoRequests,
+}
+
+/// Reads the clock at the ends of the tick's parts, and tells the planner when its time is over.
+struct Watch {
+    until_ns: Option<u64>,
+    marks_ns: [u64; 3],
+}
+
+impl Deadline for Watch {
+    fn is_over(&mut self) -> bool {
+        self.until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns)
+    }
+
+    fn mark(&mut self, phase: Phase) {
+        self.marks_ns[phase as usize] = monotonic_ns();
+    }
+}
+
+impl<E: Estimator> Controller<E> {
+    /// Puts it together. Allocates.
+    pub(crate) fn new(config: &Config, parts: Parts<E>) -> Self {
+        let Parts { cycle, inputs, outputs, obstacles, drives, bank, time, rng, auto } = parts;
+        let cables = config.arm.cable_count();
+        Self {
+            cycle,
+            inputs,
+            outputs,
+            obstacles,
+            drives,
+            bank,
+            time,
+            rng,
+            auto,
+            limits: limits(config),
+            require_source: config.obstacles.require_source,
+            lookahead_s: config.planner.lookahead_s,
+            period_ns: period_ns(config),
+            warning: match config.planner.warning {
+                WarningBranch::Swarm => PlannerBranch::Swarm,
+                WarningBranch::StandardSwarm => PlannerBranch::StandardSwarm,
+                WarningBranch::Seeded => PlannerBranch::Seeded,
+                WarningBranch::Complementarity => PlannerBranch::Complementarity,
+            },
+            torques: vec![0; cables],
+            lengths: vec![f64::NAN; cables],
+            measured: vec![f64::NAN; cables],
+            state: Box::default(),
+        }
+    }
+
+    /// The inputs, for the gate of lockstep.
+    pub(crate) fn inputs_mut(&mut self) -> &mut ControlInputs {
+        &mut self.inputs
+    }
+
+    /// Tensions sent last (N).
+    #[cfg(test)]
+    pub(crate) fn tensions_n(&self) -> &[f64] {
+        self.cycle.tensions_n()
+    }
+
+    /// One tick. `stop` asks for the ordered stop.
+    pub(crate) fn tick(&mut self, time: &TickTime, stop: bool, writer: &mut CycleWriter) -> Ticked {
+        let now_ns = time.now_ns;
+        self.inputs.update();
+        let drives = self.drives.read();
+        let demand = self.place_obstacles(now_ns);
+        let valid = self.read_encoders();
+        let capture_ns = self.inputs.encoders().latest().map_or(0, |m| m.header.capture_ns);
+        let target = self.target(now_ns);
+        let (request, command) = self.next_request(stop, &drives, demand, target.is_some_and(|t| t.fresh));
+        let began_ns = monotonic_ns();
+
+        let mut watch = Watch { until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
+        let inputs = TickInputs {
+            tick: time.tick,
+            now_ns,
+            late: time.late,
+            encoders: EncoderReadings { lengths_m: &self.lengths, valid, capture_ns },
+            tensions_measured_n: &self.measured,
+            obstacles: self.obstacles.pair(),
+            demand,
+            target,
+            drives,
+            request,
+        };
+        let output = self.cycle.tick(&inputs, &mut self.rng, &mut watch);
+
+        let sending_ns = monotonic_ns();
+        self.drives.command(output.drives, output.mode == Mode::Disarmed);
+        // The guard lets only finite tensions out; should one fail to encode, the torques of the tick before stay.
+        let _ = self.bank.encode_into(self.cycle.tensions_n(), &mut self.torques);
+        // Answers to this SYNC belong to the next tick.
+        self.time.advance_to(now_ns + self.period_ns);
+        let _ = writer.write_cycle(&self.torques);
+        let sent_ns = monotonic_ns();
+
+        let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns;
+        self.cycle.report(&inputs);
+        self.cycle.record_mut().timing = Timing {
+            wakeup_ns: time.wakeup_ns,
+            input_ns: began_ns.saturating_sub(time.woke_ns),
+            estimate_ns: estimated_ns.saturating_sub(began_ns),
+            plan_ns: planned_ns.saturating_sub(estimated_ns),
+            guard_ns: guarded_ns.saturating_sub(planned_ns),
+            send_ns: sent_ns.saturating_sub(sending_ns),
+            cycle_ns: sent_ns.saturating_sub(time.woke_ns),
+        };
+        self.publish(time);
+        let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
+        if let (Some(command), Some(answer)) = (command, &output.answer) {
+            self.outputs.reply(records::reply(&command, answer, output.mode, fault));
+        }
+        Ticked { mode: output.mode, drives }
+    }
+
+    /// Moves the obstacles, and what their sources ask for.
+    fn place_obstacles(&mut self, now_ns: u64) -> ObstacleDemand {
+        let limits = &self.limits.obstacles;
+        let table = self.inputs.obstacles();
+        let unplaced = self.obstacles.place(table, now_ns, self.lookahead_s, limits);
+        table.report_into(now_ns, limits, &mut self.state);
+        if let Some(source) = unplaced {
+            return ObstacleDemand::Hold { source };
+        }
+        match table.demand(now_ns, limits) {
+            intake::ObstacleDemand::Hold { source_id } => ObstacleDemand::Hold { source: source_id },
+            intake::ObstacleDemand::Proceed if self.require_source && !self.any_source() => {
+                ObstacleDemand::Hold { source: 0 }
+            }
+            intake::ObstacleDemand::Proceed => ObstacleDemand::Proceed,
+        }
+    }
+
+    /// Whether any source of obstacles was heard and has not left.
+    fn any_source(&self) -> bool {
+        self.state.obstacle_sources.iter().any(|source| source.health != SourceHealth::Absent.wire())
+    }
+
+    /// Copies the newest readings; which of them count.
+    fn read_encoders(&mut self) -> CableMask {
+        let mut valid = CableMask::default();
+        let Some(message) = self.inputs.encoders().latest() else { return valid };
+        for cable in 0..self.lengths.len() {
+            self.measured[cable] = if message.is_tension_valid(cable) { message.tension_n[cable] } else { f64::NAN };
+            if message.is_length_valid(cable) {
+                self.lengths[cable] = message.length_m[cable];
+                valid.insert(cable);
+            }
+        }
+        valid
+    }
+
+    fn target(&self, now_ns: u64) -> Option<TargetInput> {
+        let (track, limits) = (self.inputs.target(), &self.limits.target);
+        let now = track.sample(now_ns, limits)?;
+        let fresh = now.overrun_s <= limits.hold_after_s;
+        let sequence = now.sequence;
+        let now_target = target_of(&now);
+        let ahead = self.ahead(track, now_ns, limits, now_target.is_tip());
+        Some(TargetInput { now: now_target, ahead, sequence, fresh })
+    }
+
+    /// The target at the end of lookahead and lead, where the client has told that much of its path. Beyond it the
+    /// cycle extrapolates by the rates.
+    fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits, tip: bool) -> Option<Target> {
+        let lead_ns = (1e9 * self.cycle.lead_s(tip)) as u64;
+        let sample = track.sample(now_ns + lead_ns, limits)?;
+        (sample.overrun_s <= 0.0).then(|| target_of(&sample))
+    }
+
+    /// The request of this tick, and the command that it answers. What needs no supervisor is answered here.
+    fn next_request(
+        &mut self,
+        stop: bool,
+        drives: &DrivesInput,
+        demand: ObstacleDemand,
+        target_fresh: bool,
+    ) -> (Option<Request>, Option<Command>) {
+        let mode = self.cycle.mode();
+        if stop {
+            let moving = !matches!(mode, Mode::Disarmed | Mode::Stopping | Mode::Faulted);
+            if moving {
+                return (Some(Request::Stop), None);
+            }
+        } else if self.auto.arm && mode == Mode::Disarmed && drives.ready {
+            self.auto.arm = false;
+            return (Some(Request::Arm), None);
+        } else if self.auto.track && mode == Mode::Holding && target_fresh && demand == ObstacleDemand::Proceed {
+            self.auto.track = false;
+            return (Some(Request::Track), None);
+        }
+        // As many as their ring holds.
+        for _ in 0..16 {
+            let Some(command) = self.inputs.next_command() else { break };
+            match records::request_of(command.kind) {
+                // A drive that tripped while nothing was latched: there is no fault to clear but its own.
+                Some(Request::Clear) if mode == Mode::Disarmed && drives.fault.is_some() => {
+                    self.drives.reset();
+                    self.outputs.reply(Reply::accepted(&command, records::supervisor_state(mode)));
+                }
+                Some(request) => return (Some(request), Some(command)),
+                None => {
+                    let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
+                    self.outputs.reply(Reply {
+                        fault_code: fault.map_or(0, |f| f.code()),
+                        fault_detail: fault.map_or(0, |f| f.detail()),
+                        ..Reply::accepted(&command, records::supervisor_state(mode))
+                    });
+                }
+            }
+        }
+        (None, None)
+    }
+
+    /// Hands record and events to the I/O thread.
+    fn publish(&mut self, time: &TickTime) {
+        let now_ns = time.now_ns;
+        let state = &mut *self.state;
+        records::state_into(self.cycle.record_mut(), &self.obstacles, self.warning, state);
+        state.header = Header { tick: time.tick, ..Header::new(0, time.tick, now_ns) };
+        state.time_s = time.tick as f64 * self.period_ns as f64 * 1e-9;
+        state.target_report = self.inputs.target().report(now_ns, &self.limits.target);
+        state.encoder_report = self.inputs.encoders().report(now_ns, &self.limits.encoders);
+        state.ticks_missed = time.missed;
+        self.outputs.record(state);
+        while let Some(event) = self.cycle.events_mut().pop() {
+            self.outputs.event(records::event(&event));
+        }
+    }
+}
+
+/// The loop's period (ns).
+pub(crate) fn period_ns(config: &Config) -> u64 {
+    (1e9 * config.timing.period_s).round() as u64
+}
+
+/// The planner's budget.
+pub(crate) fn budget(config: &Config) -> Budget {
+    Budget::new(&config.timing, config.planner.budget_s)
+}
+
+fn target_of(sample: &TargetSample) -> Target {
+    match sample.mode {
+        TargetMode::Tip => Target::Tip {
+            position_m: sample.position_m.into(),
+            quaternion: sample.quaternion.into(),
+            velocity_mps: sample.velocity_mps.into(),
+            angular_velocity_radps: sample.angular_velocity_radps.into(),
+        },
+        TargetMode::Shape => {
+            Target::Shape { curvatures_1pm: sample.curvature_1pm, rates_1pms: sample.curvature_rate_1pms }
+        }
+    }
+}
