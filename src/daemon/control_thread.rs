@@ -34,6 +34,8 @@ pub(crate) struct Plan {
     pub(crate) time: super::link::LoopTime,
     pub(crate) seed: u64,
     pub(crate) auto: AutoRequests,
+    /// Ticks after which the ordered stop begins.
+    pub(crate) ticks: u64,
     pub(crate) sources: LockstepSources,
     pub(crate) lockstep_timeout: Duration,
     pub(crate) progress: Arc<Progress>,
@@ -53,6 +55,7 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     };
     let report = realtime::enter(&request);
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
+    let ticks = plan.ticks;
     let parts = Parts {
         cycle: Cycle::new(&plan.settings, observer),
         inputs: plan.inputs,
@@ -75,9 +78,9 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     let Ok(mut writer) = writer.recv() else { return };
     let last = if lockstep {
         let gate = Gate::new(plan.sources, plan.lockstep_timeout, period_ns(&plan.config));
-        run_lockstep(&mut controller, &mut writer, gate, &plan.config, &plan.progress)
+        run_lockstep(&mut controller, &mut writer, gate, &plan.config, ticks, &plan.progress)
     } else {
-        run_realtime(&mut controller, &mut writer, &plan.config, &plan.progress)
+        run_realtime(&mut controller, &mut writer, &plan.config, ticks, &plan.progress)
     };
     plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
 }
@@ -115,6 +118,7 @@ fn run_realtime(
     controller: &mut Controller<Observer>,
     writer: &mut CycleWriter,
     config: &Config,
+    ticks: u64,
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
@@ -122,7 +126,7 @@ fn run_realtime(
     let mut stopping = Stopping::new(config);
     let (mut tick, mut missed, mut last) = (0_u64, 0_u64, None);
     loop {
-        let stop = progress.stop.load(Ordering::Acquire);
+        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }
@@ -158,6 +162,7 @@ fn run_lockstep(
     writer: &mut CycleWriter,
     mut gate: Gate,
     config: &Config,
+    ticks: u64,
     progress: &Progress,
 ) -> Option<Ticked> {
     let period_ns = period_ns(config);
@@ -167,7 +172,7 @@ fn run_lockstep(
         let began_ns = monotonic_ns();
         gate.wait(controller.inputs_mut(), tick, progress);
         // Looked at behind the gate: the tick that is decided on is the one that runs.
-        let stop = progress.stop.load(Ordering::Acquire);
+        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }

@@ -90,6 +90,8 @@ pub struct Options {
     pub seed: u64,
     /// What the loop asks for by itself.
     pub auto: AutoRequests,
+    /// Stop in order when so many ticks are done.
+    pub ticks: Option<u64>,
     /// Tensions (N), one per cable, to which arming brings the cables; the arm's least ones unless given.
     pub start_tensions_n: Option<Vec<f64>>,
 }
@@ -217,6 +219,7 @@ impl Daemon {
             time,
             seed: options.seed,
             auto: options.auto,
+            ticks: options.ticks.unwrap_or(u64::MAX),
             sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
             lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
             progress: progress.clone(),
