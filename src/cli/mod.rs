@@ -4,10 +4,10 @@ mod check;
 mod client;
 mod obstacles;
 mod plan;
+mod record;
 mod requests;
 mod run;
 mod status;
-mod record;
 
 use clap::{Parser, Subcommand};
 use sinew::ipc::payload::RequestKind;

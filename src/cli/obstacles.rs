@@ -1,7 +1,7 @@
 //! `sinew obstacles`: inject one by hand, or list what the loop knows.
 
-use super::client::{Which, loop_time_ns, not_connected, numbers};
 use super::Outcome;
+use super::client::{Which, loop_time_ns, not_connected, numbers};
 use clap::{Args, Subcommand};
 use comfy_table::Table;
 use miette::IntoDiagnostic;
@@ -159,7 +159,11 @@ impl List {
             eprintln!("sinew: the daemon runs, but its loop sent no record within 2 s");
             return Ok(Outcome::Failed);
         };
-        if self.json { print_json(&state)? } else { print_table(&state) }
+        if self.json {
+            print_json(&state)?
+        } else {
+            print_table(&state)
+        }
         Ok(Outcome::Done)
     }
 }

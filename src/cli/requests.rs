@@ -35,7 +35,13 @@ pub(crate) struct TargetArguments {
     #[command(flatten)]
     which: Which,
     /// Tip pose: position (m, base frame) and quaternion, e.g. 0.2,0,-2.5,0.7071,0,0.7071,0.
-    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", required_unless_present = "curvatures", conflicts_with = "curvatures", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "X,Y,Z,QW,QX,QY,QZ",
+        required_unless_present = "curvatures",
+        conflicts_with = "curvatures",
+        allow_hyphen_values = true
+    )]
     pose: Option<String>,
     /// Average curvatures (1/m), (y, z) segment by segment.
     #[arg(long, value_name = "Y1,Z1,Y2,Z2,...", allow_hyphen_values = true)]

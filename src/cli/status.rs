@@ -5,8 +5,8 @@ use super::client::Which;
 use clap::Args;
 use comfy_table::{Table, presets};
 use miette::IntoDiagnostic;
-use sinew::daemon::status::{SourceStatus, StatusReport, ask};
 use sinew::daemon::domain_name;
+use sinew::daemon::status::{SourceStatus, StatusReport, ask};
 
 /// Arguments of `sinew status`.
 #[derive(Debug, Args)]
@@ -95,7 +95,15 @@ fn text(r: &StatusReport) -> String {
     for (branch, stages) in &r.time_us {
         for (stage, p) in STAGES.iter().filter_map(|stage| stages.get_key_value(*stage)) {
             let us = |v: f64| format!("{v:.1}");
-            times.add_row([branch.clone(), stage.clone(), us(p.p50), us(p.p99), us(p.p999), us(p.max), p.count.to_string()]);
+            times.add_row([
+                branch.clone(),
+                stage.clone(),
+                us(p.p50),
+                us(p.p99),
+                us(p.p999),
+                us(p.max),
+                p.count.to_string(),
+            ]);
         }
     }
     line(times.to_string());

@@ -111,7 +111,10 @@ pub enum DaemonError {
 
 fn remedy(load: &BusLoad) -> String {
     if load.period_s_min.is_finite() {
-        format!("lengthen `loop.period_s` to at least {:.2} ms or deal the drives to more buses", 1e3 * load.period_s_min)
+        format!(
+            "lengthen `loop.period_s` to at least {:.2} ms or deal the drives to more buses",
+            1e3 * load.period_s_min
+        )
     } else {
         "its heartbeats alone exceed that: lengthen `drives.heartbeat_s`".to_owned()
     }

@@ -6,8 +6,8 @@
 //! lookahead. The pair is published before the table that belongs to it, so it is never older; an obstacle that the
 //! table does not know is parked far away, and one for which there is no place asks for a hold.
 
-use crate::config::ShapeConfig;
 use crate::collision::{OBSTACLES_MAX, Shape};
+use crate::config::ShapeConfig;
 use crate::control::ObstaclePair;
 use crate::control::obstacles::Placement;
 use crate::ipc::intake::{InputLimits, ObstacleTable, TrackedObstacle, TrackedSet};
@@ -66,8 +66,7 @@ pub struct PairReader {
 
 /// Both ends, for at most `capacity` obstacles of all sources together.
 pub fn pairs(capacity: usize) -> (PairBuilder, PairReader) {
-    let initial =
-        Built { pair: ObstaclePair::new(), keys: Vec::with_capacity(OBSTACLES_MAX), overfull: None };
+    let initial = Built { pair: ObstaclePair::new(), keys: Vec::with_capacity(OBSTACLES_MAX), overfull: None };
     let (out, built) = triple_buffer(&initial);
     (
         PairBuilder { capacity: capacity.min(OBSTACLES_MAX), sources: Vec::new(), out },
@@ -146,13 +145,7 @@ impl PairReader {
     /// Takes over the newest pair and moves its obstacles to where `table` has them at `now_ns` and `lookahead_s`
     /// later. Call it after the table was taken over. Returns the first source with an obstacle that has no place.
     /// Does not allocate.
-    pub fn place(
-        &mut self,
-        table: &ObstacleTable,
-        now_ns: u64,
-        lookahead_s: f64,
-        limits: &InputLimits,
-    ) -> Option<u32> {
+    pub fn place(&mut self, table: &ObstacleTable, now_ns: u64, lookahead_s: f64, limits: &InputLimits) -> Option<u32> {
         self.built.update();
         table.track_into(now_ns, 0.0, limits, &mut self.now);
         table.track_into(now_ns, lookahead_s, limits, &mut self.ahead);
@@ -238,7 +231,10 @@ mod tests {
         fn place(&mut self) -> (Vec<(u64, f64, bool)>, Option<u32>) {
             let unplaced = self.reader.place(&self.table, NOW, 0.1, &InputLimits::default());
             let now = self.reader.pair().now().as_slice();
-            (now.iter().enumerate().map(|(i, o)| (o.id(), o.position().x, self.reader.is_parked(i))).collect(), unplaced)
+            (
+                now.iter().enumerate().map(|(i, o)| (o.id(), o.position().x, self.reader.is_parked(i))).collect(),
+                unplaced,
+            )
         }
     }
 

@@ -57,13 +57,17 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
     match (reason, detail) {
         (RefusalReason::WrongState, 1) => "the arm is disarmed: `sinew arm` first",
         (RefusalReason::WrongState, 2) => "the arm is stopping: wait until it is disarmed",
-        (RefusalReason::WrongState, 3) => "the tensions are still on their way to the safe value: try again in a moment",
+        (RefusalReason::WrongState, 3) => {
+            "the tensions are still on their way to the safe value: try again in a moment"
+        }
         (RefusalReason::WrongState, 4) => "no fault is latched",
         (RefusalReason::Faulted, _) => "a fault is latched: see `sinew status`, mend its cause, then `sinew clear`",
         (RefusalReason::CausePersists, _) => "the cause of the fault persists: see `sinew status`",
         (RefusalReason::DrivesNotReady, _) => "the drives are not ready: see `sinew status` for the first that is not",
         (RefusalReason::NotSettled, _) => "the observer has not settled yet: wait until the arm is holding",
-        (RefusalReason::NoTarget, _) => "there is no fresh target: give one with `sinew target`, or start the task client",
+        (RefusalReason::NoTarget, _) => {
+            "there is no fresh target: give one with `sinew target`, or start the task client"
+        }
         (RefusalReason::ObstaclesExpired, _) => {
             "obstacles are unknown or too old: start the perception client (an empty set says that nothing is there), or \
              set `obstacles.require_source = false`"
@@ -295,7 +299,8 @@ mod tests {
             Refusal::Faulted,
             Refusal::CausePersists,
         ];
-        let texts: std::collections::BTreeSet<_> = all.iter().map(|r| refusal_reason(*r)).map(|(a, b)| refusal_text(a, b)).collect();
+        let texts: std::collections::BTreeSet<_> =
+            all.iter().map(|r| refusal_reason(*r)).map(|(a, b)| refusal_text(a, b)).collect();
         assert_eq!(texts.len(), all.len());
     }
 
@@ -312,7 +317,10 @@ mod tests {
         let command = Command { ticket: 7, kind: RequestKind::Arm };
         let answer = Answer { request: Request::Arm, refusal: Some(Refusal::Faulted) };
         let reply = reply(&command, &answer, Mode::Faulted, Some(Fault::BusLost { bus: 3 }));
-        assert_eq!((reply.ticket, reply.reason, reply.fault_code, reply.fault_detail), (7, RefusalReason::Faulted, 13, 3));
+        assert_eq!(
+            (reply.ticket, reply.reason, reply.fault_code, reply.fault_detail),
+            (7, RefusalReason::Faulted, 13, 3)
+        );
         assert_eq!(reply.supervisor, SupervisorState::Faulted);
     }
 }

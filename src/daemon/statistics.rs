@@ -37,8 +37,7 @@ pub(crate) struct Statistics {
 impl Statistics {
     pub(crate) fn note(&mut self, state: &State) {
         let t = &state.timing;
-        let times =
-            [t.wakeup_ns, t.input_ns, t.estimate_ns, t.plan_ns, t.guard_ns, t.send_ns, t.cycle_ns];
+        let times = [t.wakeup_ns, t.input_ns, t.estimate_ns, t.plan_ns, t.guard_ns, t.send_ns, t.cycle_ns];
         let branch = match PlannerBranch::from_wire(state.planner_branch) {
             None | Some(PlannerBranch::None) => "idle",
             Some(PlannerBranch::Safe) => "safe",

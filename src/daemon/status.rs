@@ -331,9 +331,13 @@ mod tests {
         let domain = format!("test-{}", std::process::id());
         assert!(ask(&domain, "arm").unwrap().is_none(), "nobody listens");
         let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
-        let shared =
-            Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses });
-        let mut state = State { header: Header { tick: 41, ..Header::default() }, fault_code: 20, fault_detail: 3, ..State::default() };
+        let shared = Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses });
+        let mut state = State {
+            header: Header { tick: 41, ..Header::default() },
+            fault_code: 20,
+            fault_detail: 3,
+            ..State::default()
+        };
         state.obstacle_sources[0].source_id = 7;
         state.obstacle_sources[0].rejected[RejectCause::NotFinite.wire() as usize] = 2;
         shared.note(&state);

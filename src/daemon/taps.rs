@@ -30,7 +30,14 @@ impl Tap for Taps {
 
     fn event(&mut self, event: &Event) {
         match event.code {
-            0..100 => tracing::error!(code = event.code, detail = event.detail, value = event.value, tick = event.tick, "fault: {}", event.text),
+            0..100 => tracing::error!(
+                code = event.code,
+                detail = event.detail,
+                value = event.value,
+                tick = event.tick,
+                "fault: {}",
+                event.text
+            ),
             100..300 => tracing::info!(code = event.code, tick = event.tick, "{}", event.text),
             300..400 => tracing::info!(cause = event.detail, tick = event.tick, "mode: {}", event.text),
             _ => tracing::info!(refused = event.detail, tick = event.tick, "request: {}", event.text),
