@@ -45,9 +45,6 @@ struct Arguments {
     /// counted from 1 over the whole arm, or `any`.
     #[arg(long, value_name = "FAULT")]
     fault: Vec<FaultSpec>,
-    /// End when the parent process ends, however it ends.
-    #[arg(long, hide = true)]
-    with_parent: bool,
 }
 
 fn main() -> ExitCode {
@@ -87,9 +84,6 @@ fn main() -> ExitCode {
 }
 
 fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<Server> {
-    if arguments.with_parent {
-        rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM)).into_diagnostic()?;
-    }
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
     }

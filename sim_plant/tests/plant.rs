@@ -52,7 +52,6 @@ impl Plant {
             .arg("--config")
             .args(&files)
             .args(arguments)
-            .arg("--with-parent")
             .current_dir(folder.path())
             .stdout(Stdio::piped())
             .spawn()

@@ -2,11 +2,14 @@
 
 mod check;
 mod client;
+mod demo;
+mod leash;
 mod obstacles;
 mod plan;
 mod record;
 mod requests;
 mod run;
+mod scenario_client;
 mod status;
 
 use clap::{Parser, Subcommand};
@@ -49,6 +52,14 @@ enum Command {
     Target(requests::TargetArguments),
     /// Inject an obstacle by hand, or list those that the loop knows.
     Obstacles(obstacles::ObstaclesArguments),
+    /// Run a scenario in closed loop against the simulated plant, every part a process of its own.
+    Demo(demo::Demo),
+    /// A scenario's obstacles or task, as a client of a running daemon.
+    #[command(hide = true)]
+    Client(scenario_client::Client),
+    /// Run a program that ends when its parent ends.
+    #[command(hide = true)]
+    Leash(leash::Leash),
 }
 
 /// How a command ended.
@@ -77,6 +88,9 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
     match arguments.command {
         Command::Plan(plan) => plan.run(),
         Command::Check(check) => check.run(),
+        Command::Demo(demo) => demo.run(),
+        Command::Client(client) => client.run(),
+        Command::Leash(leash) => leash.run(),
         Command::Run(run) => run.run(),
         Command::Status(status) => status.run(),
         Command::Arm(ask) => ask.run(RequestKind::Arm),

@@ -16,7 +16,7 @@ mod reader;
 mod recorder;
 mod schema;
 
-pub use reader::{RecordedMessage, read};
+pub use reader::{RecordedMessage, read, read_each};
 pub use recorder::{Recorder, Recording};
 
 use thiserror::Error;

@@ -21,9 +21,19 @@ pub struct RecordedMessage {
 /// # Errors
 /// The file cannot be read, is no recording at all, or a message does not match its schema.
 pub fn read(path: &Path) -> Result<Vec<RecordedMessage>, RecordingError> {
+    let mut messages = Vec::new();
+    read_each(path, |message| messages.push(message))?;
+    Ok(messages)
+}
+
+/// Hands the messages of a file over one by one, as [`read`] does: a decoded message takes ten times its place in the
+/// file.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_each(path: &Path, mut take: impl FnMut(RecordedMessage)) -> Result<(), RecordingError> {
     let bytes =
         std::fs::read(path).map_err(|source| RecordingError::File { path: path.display().to_string(), source })?;
-    let mut messages = Vec::new();
     for message in MessageStream::new_with_options(&bytes, Options::IgnoreEndMagic.into())? {
         let message = match message {
             Ok(message) => message,
@@ -35,9 +45,9 @@ pub fn read(path: &Path) -> Result<Vec<RecordedMessage>, RecordingError> {
         let schema = message.channel.schema.as_ref().map_or(&[] as &[u8], |s| &s.data);
         let value = decode(&String::from_utf8_lossy(schema), &message.data)
             .map_err(|why| RecordingError::Message { topic: topic.clone(), why })?;
-        messages.push(RecordedMessage { topic, time_ns: message.log_time, value });
+        take(RecordedMessage { topic, time_ns: message.log_time, value });
     }
-    Ok(messages)
+    Ok(())
 }
 
 /// Types of a `ros2msg` schema: name and fields (type, name); the first one has no name.

@@ -1,0 +1,279 @@
+//! `sinew demo`: a scenario in closed loop, every part a process of its own.
+//!
+//! Enters: a scenario and a few choices. Leaves: the same table or JSON object as `sinew plan`, judged by the true arm
+//! and not by the controller's own estimate. It only starts, watches and stops: plant, obstacle client, task client and
+//! daemon know each other by the bus and by shared memory alone, in a domain of their own. However it ends (done, Ctrl-C,
+//! a child's crash, its own), no process and no file in shared memory is left.
+
+mod children;
+mod judge;
+mod setup;
+
+use super::Outcome;
+use super::scenario_client::approach_s;
+use children::{Children, Ended};
+use clap::{Args, ValueEnum};
+use miette::{IntoDiagnostic, miette};
+use setup::Setup;
+use sinew::config::Task;
+use sinew::ipc::payload::{PlannerBranch, RequestKind, State, SupervisorState};
+use sinew::ipc::{Client, IpcError, NewestSubscriber};
+use sinew::report::{figures_table, summary_table};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How often the demo looks at its children and at the arm.
+const LOOK: Duration = Duration::from_millis(20);
+/// Time granted to start, from the first process to the arm that tracks.
+const START: Duration = Duration::from_secs(60);
+/// Time granted to each step of stopping before harder means.
+const STOP: Duration = Duration::from_secs(10);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Branch {
+    /// The paper's particle swarm alone.
+    Swarm,
+    /// The swarm with the complementarity solution among its seeds.
+    Seeded,
+    /// The extended complementarity problem alone.
+    Complementarity,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Observer {
+    /// Passive correction in cable space.
+    Passive,
+    /// Reduced Kalman filter.
+    Kalman,
+}
+
+/// Arguments of `sinew demo`.
+#[derive(Debug, Args)]
+pub(crate) struct Demo {
+    /// `tip`, `shape`, another built-in scenario, or a scenario file.
+    scenario: String,
+    /// In lockstep, as fast as it computes; otherwise in real time.
+    #[arg(long)]
+    fast: bool,
+    /// Print one JSON object and nothing else to standard output.
+    #[arg(long)]
+    json: bool,
+    /// Seed of the plant's errors and of the planner's swarm.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Seconds of the scenario to run; default: all.
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// What estimates the arm's state; default: the configuration's.
+    #[arg(long)]
+    observer: Option<Observer>,
+    /// What plans near obstacles; default: the configuration's.
+    #[arg(long)]
+    warning: Option<Branch>,
+    /// Configuration files with all tables in place of the built-in ones; bus and shared memory stay the demo's own.
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    config: Vec<PathBuf>,
+    /// Keep configuration, recordings and logs in this directory.
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+    /// Kill the obstacle client (SIGKILL) at this time of the scenario.
+    #[arg(long, value_name = "S")]
+    kill_obstacle_client_at: Option<f64>,
+    /// Break something in the plant: stick|jump|silence|trip|dead:CABLE[:METRES][@SECONDS since the drives came up].
+    #[arg(long, value_name = "FAULT")]
+    fault: Vec<String>,
+}
+
+/// How the run itself ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Ending {
+    /// The scenario's time is over.
+    Done,
+    /// A signal.
+    Interrupted,
+    /// A fault is latched, or the arm stopped tracking for good.
+    Stopped,
+}
+
+impl Demo {
+    pub(crate) fn run(self) -> miette::Result<Outcome> {
+        let stop = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
+        }
+        let setup = Setup::new(&self)?;
+        let mut children = Children::new(&setup);
+        let ended = self.go(&setup, &mut children, &stop);
+        let stopped = children.stop_all(&setup);
+        setup.sweep();
+        let ending = ended?;
+        stopped?;
+        let judged = judge::judge(&setup, self.fast)?;
+        let summary = &judged.summary;
+        if self.json {
+            println!("{}", serde_json::to_string_pretty(summary).into_diagnostic()?);
+        } else {
+            println!("{}", summary_table(summary));
+            println!("{}", figures_table(&setup.scenario.figures, summary));
+        }
+        match ending {
+            Ending::Interrupted => {
+                eprintln!("interrupted after {:.1} s of {} s", judged.reached_s, setup.duration_s);
+                Ok(Outcome::Failed)
+            }
+            Ending::Stopped => Ok(Outcome::Failed),
+            Ending::Done if judged.contact || !summary.faults.is_empty() => Ok(Outcome::Failed),
+            Ending::Done => Ok(Outcome::Done),
+        }
+    }
+
+    fn go(&self, setup: &Setup, children: &mut Children, stop: &AtomicBool) -> miette::Result<Ending> {
+        let begin = Instant::now();
+        children.start_plant(setup, stop)?;
+        children.start_daemon(setup)?;
+        let mut client = loop {
+            match Client::connect(&setup.domain, &setup.config.ipc.arm) {
+                Ok(client) => break client,
+                Err(IpcError::NoDaemon { .. }) if begin.elapsed() < START => {}
+                Err(error) => return Err(error).into_diagnostic(),
+            }
+            children.check()?;
+            if stop.load(Ordering::Relaxed) {
+                return Ok(Ending::Interrupted);
+            }
+            std::thread::sleep(LOOK);
+        };
+        let states = client.states().into_diagnostic()?;
+        children.start_clients(setup)?;
+        let ending = self.watch(setup, children, &states, stop, begin)?;
+        if ending != Ending::Stopped {
+            stop_arm(&mut client, &states, children)?;
+        }
+        Ok(ending)
+    }
+
+    fn watch(
+        &self,
+        setup: &Setup,
+        children: &mut Children,
+        states: &NewestSubscriber<State>,
+        stop: &AtomicBool,
+        begin: Instant,
+    ) -> miette::Result<Ending> {
+        let bar = super::progress_bar((1e3 * setup.duration_s) as u64, &setup.scenario.name);
+        bar.set_style(
+            indicatif::ProgressStyle::with_template("{prefix} {wide_bar} {msg} {elapsed}/{eta}")
+                .unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()),
+        );
+        bar.set_prefix(setup.scenario.name.clone());
+        let (mut origin_ns, mut kill_at_s) = (None, self.kill_obstacle_client_at);
+        let mut most_n = 0.0f64;
+        let ending = loop {
+            if stop.load(Ordering::Relaxed) {
+                break Ending::Interrupted;
+            }
+            children.check()?;
+            let mut newest = None;
+            while let Some(state) = states.receive().into_diagnostic()? {
+                newest = Some(state);
+            }
+            let Some(state) = newest else {
+                std::thread::sleep(LOOK / 4);
+                continue;
+            };
+            if state.fault_code != 0 {
+                break Ending::Stopped;
+            }
+            let is_tracking = state.supervisor == SupervisorState::Tracking.wire();
+            if is_tracking && origin_ns.is_none() {
+                origin_ns = Some(state.header.capture_ns);
+                bar.reset_elapsed();
+            }
+            most_n = state.tension_command_n.iter().fold(most_n, |a, u| a.max(*u));
+            bar.set_message(line(&state, most_n));
+            match origin_ns {
+                None if begin.elapsed() > START => {
+                    return Err(miette!(
+                        "the arm does not track after {} s: it is {}; logs in {}",
+                        START.as_secs(),
+                        SupervisorState::from_wire(state.supervisor).map_or("unknown", SupervisorState::text),
+                        setup.folder().display()
+                    ));
+                }
+                None => {}
+                Some(origin) => {
+                    let t_s =
+                        state.header.capture_ns.saturating_sub(origin) as f64 * 1e-9 - approach_s(&setup.scenario.task);
+                    bar.set_position((1e3 * t_s.max(0.0)) as u64);
+                    if kill_at_s.is_some_and(|at| t_s >= at) {
+                        kill_at_s = None;
+                        bar.println(format!("{t_s:.1} s: obstacle client killed"));
+                        children.kill_obstacle_client()?;
+                    }
+                    // A little more: the first record that was seen here need not be the first that tracked.
+                    if t_s >= setup.duration_s + 0.1 {
+                        break Ending::Done;
+                    }
+                }
+            }
+            std::thread::sleep(LOOK / 4);
+        };
+        bar.finish_and_clear();
+        Ok(ending)
+    }
+}
+
+/// What the arm is doing, in a line.
+fn line(state: &State, most_n: f64) -> String {
+    let mode = SupervisorState::from_wire(state.supervisor).map_or("?", SupervisorState::text);
+    let branch = PlannerBranch::from_wire(state.planner_branch).map_or("?", PlannerBranch::text);
+    let error = if state.tip_error_m.is_finite() {
+        format!("tip {:4.1} mm", 1e3 * state.tip_error_m)
+    } else if state.curvature_error_1pm.is_finite() {
+        format!("curvature {:.3} 1/m", state.curvature_error_1pm)
+    } else {
+        "-".to_owned()
+    };
+    let used = (state.distance_count as usize).min(state.distances.len());
+    let least = state.distances[..used].iter().map(|d| d.surface_distance_m).fold(f64::INFINITY, f64::min);
+    let nearest = if least.is_finite() { format!("nearest {:5.1} mm", 1e3 * least) } else { "no obstacle".to_owned() };
+    format!("{:6.2} s {mode}, {error}, {nearest}, at most {most_n:.0} N, {branch}", state.time_s)
+}
+
+/// Brings the arm to rest and the drives off, as an operator would.
+fn stop_arm(client: &mut Client, states: &NewestSubscriber<State>, children: &mut Children) -> miette::Result<()> {
+    // A daemon that does not answer is stopped by its signal, which does the same.
+    if let Err(error) = client.ask(RequestKind::Stop, STOP) {
+        tracing::warn!(%error, "stop request");
+        return Ok(());
+    }
+    let deadline = Instant::now() + STOP;
+    while Instant::now() < deadline {
+        children.check()?;
+        match states.receive().into_diagnostic()? {
+            Some(state) if state.supervisor == SupervisorState::Disarmed.wire() => return Ok(()),
+            Some(state) if state.fault_code != 0 => return Ok(()),
+            _ => std::thread::sleep(LOOK / 10),
+        }
+    }
+    Ok(())
+}
+
+impl Ended {
+    /// What to tell about a child that ended by itself.
+    fn report(&self) -> miette::Report {
+        let mut text = format!("{} ended by itself: {}", self.name, self.status);
+        if !self.tail.is_empty() {
+            text.push_str("\nits last words:\n");
+            text.push_str(&self.tail);
+        }
+        miette!("{text}")
+    }
+}
+
+/// Whether the scenario's task is a tip path.
+fn is_tip(task: &Task) -> bool {
+    matches!(task, Task::Tip { .. })
+}

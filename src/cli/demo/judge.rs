@@ -1,0 +1,333 @@
+//! What the run achieved, judged by the true arm.
+//!
+//! Enters: the plant's trace and the daemon's records. Leaves: a summary. Distances, tip error and curvature error are
+//! the true arm's against the scenario at that time; tensions are those that the drums were told; iterations, times and
+//! faults are the daemon's.
+//!
+//! The two files meet in time. In real time both carry CLOCK_MONOTONIC. In lockstep the plant counts SYNCs and the daemon
+//! ticks, and the SYNCs before the first tick are not known: the two are laid beside each other so that the tensions of
+//! every tick are the ones that the drums had, to a step of the torque on the wire. If no offset does that for all ticks,
+//! the drives did not do what the controller commanded, and that is an error.
+
+use super::setup::Setup;
+use crate::cli::scenario_client::approach_s;
+use miette::{IntoDiagnostic, WrapErr, miette};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
+use serde_json::Value;
+use sinew::collision::{Body, BodyGeometry};
+use sinew::config::{ArmConfig, BodyModel};
+use sinew::control::Fault;
+use sinew::ipc::payload::{PlannerBranch, SupervisorState};
+use sinew::model::Outputs;
+use sinew::planner::{Branch, Goal};
+use sinew::recording::read_each;
+use sinew::report::{Collector, Summary, Tick, tip_error};
+use sinew::scenario::Course;
+use std::path::Path;
+
+/// A run and what it came to.
+pub(super) struct Judged {
+    pub(super) summary: Summary,
+    /// The arm touched an obstacle although it should not.
+    pub(super) contact: bool,
+    /// Scenario time reached (s).
+    pub(super) reached_s: f64,
+}
+
+/// One of the daemon's ticks.
+struct Record {
+    tick: u64,
+    capture_ns: u64,
+    tracks: bool,
+    tensions: Vec<f64>,
+    branch: u64,
+    iterations: u64,
+    plan_ns: u64,
+    cycle_ns: u64,
+    wakeup_ns: u64,
+    missed: u64,
+    fault: (u64, u64),
+}
+
+/// The true arm after one period.
+struct Truth {
+    syncs: u64,
+    capture_ns: u64,
+    tensions: Vec<f64>,
+    nodes: Vec<[f64; 7]>,
+    curvatures: Vec<f64>,
+}
+
+pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
+    let mut records = Vec::new();
+    read(&setup.records(), "/state", |v| {
+        records.push(Record {
+            tick: integer(&v["header"]["tick"]),
+            capture_ns: integer(&v["header"]["capture_ns"]),
+            tracks: integer(&v["supervisor"]) == u64::from(SupervisorState::Tracking.wire()),
+            tensions: numbers(&v["tension_command_n"]),
+            branch: integer(&v["planner_branch"]),
+            iterations: integer(&v["newton_iterations"]),
+            plan_ns: integer(&v["timing"]["plan_ns"]),
+            cycle_ns: integer(&v["timing"]["cycle_ns"]),
+            wakeup_ns: integer(&v["timing"]["wakeup_ns"]),
+            missed: integer(&v["ticks_missed"]),
+            fault: (integer(&v["fault_code"]), integer(&v["fault_detail"])),
+        });
+    })?;
+    let mut truths = Vec::new();
+    read(&setup.trace(), "/state", |v| {
+        truths.push(Truth {
+            syncs: integer(&v["header"]["tick"]),
+            capture_ns: integer(&v["header"]["capture_ns"]),
+            tensions: numbers(&v["tension_command_n"]),
+            nodes: v["nodes"].as_array().into_iter().flatten().map(node).collect(),
+            curvatures: numbers(&v["curvature_1pm"]),
+        });
+    })?;
+    let Some(first) = records.iter().position(|r| r.tracks) else { return Ok(never_tracked(setup, &records)) };
+    // The scenario begins when the clients say so: after the approach to its start.
+    let approach_s = approach_s(&setup.scenario.task);
+    let origin_ns = records[first].capture_ns + (1e9 * approach_s).round() as u64;
+    let period_s = setup.config.timing.period_s;
+    let truth_s: Vec<f64> = if lockstep {
+        let offset = offset(setup, &records[first..], &truths)?;
+        let tick = records[first].tick as f64;
+        truths.iter().map(|t| (t.syncs as f64 - offset as f64 - tick + 1.0) * period_s - approach_s).collect()
+    } else {
+        truths.iter().map(|t| (t.capture_ns as f64 - origin_ns as f64) * 1e-9).collect()
+    };
+
+    let mut collector = collector(setup);
+    let mut judge = Judge::new(setup)?;
+    let mut tick = records.iter().position(|r| r.capture_ns >= origin_ns).unwrap_or(records.len());
+    let mut reached_s = 0.0;
+    for (truth, &t) in truths.iter().zip(&truth_s) {
+        // Half a period: times are multiples of it only up to rounding.
+        if t < 0.5 * period_s || t > setup.duration_s + 0.5 * period_s {
+            continue;
+        }
+        // The newest tick before this state.
+        let mut record = None;
+        while let Some(r) = records.get(tick)
+            && (r.capture_ns as f64 - origin_ns as f64) * 1e-9 < t - 1e-9
+        {
+            (record, tick) = (Some(r), tick + 1);
+        }
+        reached_s = t;
+        judge.add(&mut collector, truth, t, record, lockstep)?;
+    }
+    let within =
+        |r: &&Record| (r.capture_ns.saturating_sub(origin_ns)) as f64 * 1e-9 <= setup.duration_s + 0.5 * period_s;
+    let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
+    let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
+    collector.set_missed(missed);
+    faults(&records, origin_ns, &mut collector);
+    if let Some(stopped) = run.iter().find(|r| !r.tracks && r.fault.0 == 0) {
+        let at = (stopped.capture_ns.saturating_sub(origin_ns)) as f64 * 1e-9;
+        tracing::info!(at_s = at, "the arm held");
+    }
+    let planner = &setup.config.planner;
+    let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, planner.lookahead_s, true);
+    Ok(Judged {
+        contact: setup.scenario.planner.avoidance && collector.contact(BodyModel::Arm, 0.0),
+        summary,
+        reached_s,
+    })
+}
+
+/// A run that ended before it began; its faults say why.
+fn never_tracked(setup: &Setup, records: &[Record]) -> Judged {
+    let mut collector = collector(setup);
+    collector.set_missed(records.last().map_or(0, |r| r.missed));
+    faults(records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
+    let (period_s, lookahead_s) = (setup.config.timing.period_s, setup.config.planner.lookahead_s);
+    let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, lookahead_s, true);
+    Judged { summary, contact: false, reached_s: 0.0 }
+}
+
+fn collector(setup: &Setup) -> Collector {
+    let names: Vec<String> = setup.scenario.obstacles.iter().map(|o| o.id.clone()).collect();
+    let cables: Vec<usize> = setup.config.arm.segments.iter().map(|s| s.hole_angles_rad.len()).collect();
+    Collector::new(&names, &cables, setup.config.arm.tension_n_max)
+}
+
+fn faults(records: &[Record], origin_ns: u64, collector: &mut Collector) {
+    let mut last = 0;
+    for r in records {
+        let (code, detail) = r.fault;
+        if code != last && code != 0 {
+            let what =
+                Fault::EXAMPLES.iter().find(|f| u64::from(f.code()) == code).map_or("unknown fault", |f| f.what());
+            let at_s = (r.capture_ns as f64 - origin_ns as f64) * 1e-9;
+            collector.add_fault(format!("{what} (code {code}, detail {detail}) at {at_s:.2} s"));
+        }
+        last = code;
+    }
+}
+
+/// SYNCs before tick 0.
+fn offset(setup: &Setup, records: &[Record], truths: &[Truth]) -> miette::Result<u64> {
+    // Half a step of the torque on the wire, and a little for the last digit.
+    let steps: Vec<f64> = setup
+        .config
+        .drives
+        .drives
+        .iter()
+        .map(|d| 0.501e-3 * d.rated_torque_nm * d.gear_ratio / d.drum_radius_m)
+        .collect();
+    let same = |r: &Record, t: &Truth| {
+        r.tensions.iter().zip(&t.tensions).zip(&steps).all(|((a, b), step)| (a - b).abs() <= *step)
+    };
+    let (Some(first), Some(begin)) = (records.first(), truths.first()) else {
+        return Err(miette!("the recordings are empty"));
+    };
+    let fits = |place: usize| {
+        // Only ticks of tracking: a drive that has left torque does not follow.
+        let pairs = records.iter().take_while(|r| r.tracks).zip(&truths[place..]);
+        let mut count = 0;
+        pairs.inspect(|_| count += 1).all(|(r, t)| same(r, t)) && count > 0
+    };
+    // From the end: while the arm holds its start, an earlier beginning fits as well until it moves.
+    let place = (0..truths.len()).rev().find(|&place| fits(place) && truths.len() - place >= tracked(records));
+    match place {
+        Some(place) => (begin.syncs + place as u64).checked_sub(first.tick).ok_or(miette!("more ticks than SYNCs")),
+        None => Err(miette!(
+            "the drives did not apply what the controller commanded: no offset between the recordings fits"
+        )),
+    }
+}
+
+fn tracked(records: &[Record]) -> usize {
+    records.iter().take_while(|r| r.tracks).count()
+}
+
+/// Measures the true arm.
+struct Judge {
+    course: Course,
+    obstacles: sinew::collision::ObstacleSet,
+    /// On the truth's mesh.
+    body: Body,
+    /// On the controller's mesh, whose points the paper's are.
+    coarse: Body,
+    refinement: usize,
+    base_quaternion: UnitQuaternion<f64>,
+    positions: Vec<Vector3<f64>>,
+    tangents: Vec<Vector3<f64>>,
+}
+
+impl Judge {
+    fn new(setup: &Setup) -> miette::Result<Self> {
+        let course = Course::new(&setup.scenario);
+        let obstacles = course.obstacles().into_diagnostic()?;
+        let refinement = setup.mesh_refinement.max(1);
+        let geometry = BodyGeometry::from_arm(&refined(&setup.config.arm, refinement));
+        let nodes = geometry.node_count();
+        let radius_m = setup.config.planner.body_radius_m;
+        let coarse = BodyGeometry::from_arm(&setup.config.arm);
+        Ok(Self {
+            course,
+            obstacles,
+            body: Body::with_capacity(&geometry, BodyModel::Arm, radius_m, 1),
+            coarse: Body::with_capacity(&coarse, BodyModel::Points, radius_m, 1),
+            refinement,
+            base_quaternion: unit(setup.config.arm.base_quaternion),
+            positions: vec![setup.config.arm.base_position_m.into(); nodes],
+            tangents: vec![Vector3::x(); nodes],
+        })
+    }
+
+    fn add(
+        &mut self,
+        collector: &mut Collector,
+        truth: &Truth,
+        t: f64,
+        record: Option<&Record>,
+        lockstep: bool,
+    ) -> miette::Result<()> {
+        if truth.nodes.len() + 1 != self.positions.len() {
+            let (found, expected) = (truth.nodes.len(), self.positions.len() - 1);
+            return Err(miette!("the trace holds {found} of {expected} nodes of the true arm: refine its mesh less"));
+        }
+        self.tangents[0] = self.base_quaternion * Vector3::x();
+        for (i, [x, y, z, q @ ..]) in truth.nodes.iter().enumerate() {
+            self.positions[i + 1] = Vector3::new(*x, *y, *z);
+            self.tangents[i + 1] = unit(*q) * Vector3::x();
+        }
+        self.course.place(&mut self.obstacles, t);
+        let measured = self.body.measure(&self.positions, &self.tangents, &self.obstacles);
+        let every = |v: &[Vector3<f64>]| v.iter().step_by(self.refinement).copied().collect::<Vec<_>>();
+        let (r, t_c) = (every(&self.positions), every(&self.tangents));
+        let at_points = self.coarse.measure(&r, &t_c, &self.obstacles).at_points;
+        let goal = self.course.goal(t);
+        let last = truth.nodes[truth.nodes.len() - 1];
+        let tip = Outputs {
+            position: Vector3::new(last[0], last[1], last[2]),
+            quaternion: Vector4::new(last[3], last[4], last[5], last[6]),
+            velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+        };
+        let curvature_error = match goal {
+            Goal::Shape { curvatures, .. } => {
+                Some(truth.curvatures.iter().zip(curvatures).fold(0.0f64, |a, (k, d)| a.max((k - d).abs())))
+            }
+            Goal::Tip { .. } => None,
+        };
+        let us = |ns: u64| (ns > 0).then_some(ns as f64 * 1e-3);
+        let step = record.and_then(|r| {
+            let branch = match r.branch {
+                b if b == u64::from(PlannerBranch::None.wire()) => return None,
+                b if b == u64::from(PlannerBranch::Safe.wire()) => Branch::Safe,
+                _ => Branch::Warning,
+            };
+            Some((branch, r.iterations as usize, true))
+        });
+        collector.add(&Tick {
+            time_s: t,
+            tensions: &truth.tensions,
+            along_arm: measured.along_arm,
+            at_points,
+            tip_error: tip_error(&goal, &tip),
+            curvature_error,
+            step,
+            plan_us: record.and_then(|r| us(r.plan_ns)),
+            cycle_us: record.and_then(|r| us(r.cycle_ns)),
+            wakeup_us: record.filter(|_| !lockstep).and_then(|r| us(r.wakeup_ns)),
+        });
+        Ok(())
+    }
+}
+
+/// The arm on the truth's mesh, as far as its geometry goes.
+fn refined(arm: &ArmConfig, refinement: usize) -> ArmConfig {
+    let mut arm = arm.clone();
+    arm.segments.iter_mut().for_each(|segment| segment.elements *= refinement);
+    arm
+}
+
+fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+}
+
+fn read(path: &Path, topic: &str, mut take: impl FnMut(&Value)) -> miette::Result<()> {
+    read_each(path, |message| {
+        if message.topic.ends_with(topic) {
+            take(&message.value);
+        }
+    })
+    .into_diagnostic()
+    .wrap_err_with(|| path.display().to_string())
+}
+
+fn integer(value: &Value) -> u64 {
+    value.as_u64().unwrap_or(0)
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().into_iter().flatten().map(|x| x.as_f64().unwrap_or(f64::NAN)).collect()
+}
+
+fn node(value: &Value) -> [f64; 7] {
+    let (r, q) = (numbers(&value["position_m"]), numbers(&value["quaternion"]));
+    std::array::from_fn(|i| r.iter().chain(&q).nth(i).copied().unwrap_or(f64::NAN))
+}
