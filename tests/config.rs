@@ -209,9 +209,9 @@ fn a_value_of_the_wrong_type_is_refused() {
 fn a_name_that_is_no_choice_is_refused() {
     refuse(
         "controller.toml",
-        "kind = \"passive\"",
-        "kind = \"pasive\"",
-        &["`observer.kind` = \"pasive\"", "did you mean `passive`", "kalman"],
+        "warning = \"seeded\"",
+        "warning = \"seded\"",
+        &["`planner.warning` = \"seded\"", "did you mean `seeded`", "complementarity"],
     );
 }
 
@@ -476,8 +476,10 @@ fn every_default_may_be_written_out_and_changes_nothing() {
 fn the_controllers_file_states_the_defaults() {
     let mut bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
     assert_eq!(bare.planner.body_radius_m, 0.055, "the body's default radius is the disks'");
-    // The one deliberate difference.
+    // The deliberate differences: the demonstrations' body, and a swarm that fits into a period.
     bare.planner.body_radius_m = 0.0;
+    let swarm = &mut bare.planner.swarm;
+    (swarm.particles_normal, swarm.particles_uniform, swarm.sweeps_max, swarm.stall_sweeps) = (15, 5, 10, 3);
     assert_eq!(bare, Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap());
 }
 

@@ -1,4 +1,5 @@
 //! The cycle with the real observer and the real planner around an arm that is only seen through its encoders.
+#![allow(clippy::unwrap_used)] // helpers of tests
 #[path = "support/control.rs"]
 mod rig;
 
@@ -75,11 +76,13 @@ impl World {
         self.truth.update(self.cycle.tensions_n(), &[], &[]).unwrap();
     }
 
+    /// Where the arm's tip truly is (m).
     fn true_tip(&self) -> nalgebra::Vector3<f64> {
         let state = self.truth.state();
         self.arm.tip(&state.q, &state.qd).position
     }
 
+    /// Tracks a point that begins to move at 20 mm/s; the largest error of the true tip (m) after the first second.
     fn follow_line(&mut self, ticks: u32) -> f64 {
         let (v, z, mut worst) = (0.02, -2.74, 0.0f64);
         self.target = Some(tip([0.0, 0.0, z], [0.0; 3]));
@@ -89,7 +92,10 @@ impl World {
             let x = v * PERIOD_S * f64::from(k);
             self.target = Some(tip([x, 0.0, z], [v, 0.0, 0.0]));
             self.step(None);
-            worst = worst.max((self.true_tip() - nalgebra::Vector3::new(x, 0.0, z)).norm());
+            // The straight arm cannot shorten at first order: it needs a moment to bend.
+            if k >= 100 {
+                worst = worst.max((self.true_tip() - nalgebra::Vector3::new(x, 0.0, z)).norm());
+            }
         }
         worst
     }
@@ -112,7 +118,7 @@ fn the_true_tip_follows_a_moving_target_through_encoders_and_observer() {
     world.arm();
     let worst = world.follow_line(500);
     assert_eq!(world.cycle.mode(), Mode::Tracking, "{:?}", world.cycle.supervisor().latch());
-    assert!(worst < 0.01, "true tip error {worst} m");
+    assert!(worst < 0.002, "true tip error {worst} m");
     let record = world.cycle.record_mut();
     assert!(record.innovation_max_rad < 0.05 && record.disturbance_nm[0].is_finite());
 }

@@ -3,7 +3,7 @@
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use nalgebra::{DMatrix, DVector};
-use sinew::config::{ArmConfig, ObserverConfig, ObserverKind, Routing};
+use sinew::config::{ArmConfig, ObserverConfig, Routing};
 use sinew::estimator::{CableSpace, Observer, StartError};
 use sinew::integrator::{Scheme, Stepper, consistent_start, equilibrium};
 use sinew::model::{Arm, State};
@@ -15,7 +15,8 @@ const PERIOD: f64 = 0.01;
 
 fn settings() -> ObserverConfig {
     ObserverConfig {
-        kind: ObserverKind::Passive,
+        model_damping_ratio: 2.5,
+        rho_inf: 0.0,
         stiffness_ratio: 2.0,
         damping_s: 2.0,
         filter_time_s: 0.3,

@@ -22,7 +22,7 @@ impl WarningState {
 
     /// With the planner's settings.
     pub fn from_config(config: &PlannerConfig) -> Self {
-        Self::new(config.clearance_m, config.warning_distance_m, config.warning_hysteresis_m)
+        Self::new(config.clearance_m, config.warning_margin_m(), config.warning_hysteresis_m)
     }
 
     /// Decide on the smallest distance of all pairs (m; infinite where there is no obstacle). Warning at or below

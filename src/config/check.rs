@@ -3,7 +3,7 @@
 //! Enters: a checked configuration. Leaves: lines of label and value, ready for a table. The buses' load is computed
 //! where their protocol is known and is not part of it.
 
-use super::{BodyModel, BusKind, Config, ObserverKind, Routing, ScenarioConfig, Task};
+use super::{BodyModel, BusKind, Config, Routing, ScenarioConfig, Task};
 
 /// One line of a summary.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -65,8 +65,14 @@ impl Config {
         ));
         let barrier = planner.barrier.map_or("no barrier".to_owned(), |barrier| format!("barrier {}", barrier.gamma));
         lines.push(line("obstacles", format!("{body}, clearance {} mm, {barrier}", 1e3 * planner.clearance_m)));
-        let kind = if self.observer.kind == ObserverKind::Passive { "passive" } else { "Kalman" };
-        lines.push(line("observer", format!("{kind}, latency {} ticks", self.observer.latency_ticks)));
+        let observer = &self.observer;
+        lines.push(line(
+            "observer",
+            format!(
+                "K = {} EI/L, T_b = {} s, latency {} ticks",
+                observer.stiffness_ratio, observer.disturbance_time_s, observer.latency_ticks
+            ),
+        ));
         for (index, bus) in self.drives.buses.iter().enumerate() {
             let nodes: Vec<u8> =
                 self.drives.drives.iter().filter(|drive| drive.bus == index).map(|drive| drive.node_id).collect();

@@ -36,7 +36,7 @@ pub use drives::{BusConfig, BusKind, DRIVES, DriveConfig, DrivesConfig};
 pub use error::ConfigError;
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
-pub use observer::{OBSERVER, ObserverConfig, ObserverKind};
+pub use observer::{OBSERVER, ObserverConfig};
 pub use obstacles::{OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};

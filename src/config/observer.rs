@@ -4,21 +4,9 @@ use super::reader::Section;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
-/// Which observer runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ObserverKind {
-    /// The model with a passive correction in cable space: stable with friction, the default.
-    Passive,
-    /// The reduced Kalman filter: more accurate, not robust against cable friction.
-    Kalman,
-}
-
 /// Settings of the observer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ObserverConfig {
-    /// Which one.
-    pub kind: ObserverKind,
     /// Spring K of the correction as a multiple of EI/L.
     pub stiffness_ratio: f64,
     /// Damper over spring, D/K (s).
@@ -27,6 +15,10 @@ pub struct ObserverConfig {
     pub filter_time_s: f64,
     /// Time constant T_b of the disturbance estimate (s).
     pub disturbance_time_s: f64,
+    /// Damping of the observer's model over the arm's.
+    pub model_damping_ratio: f64,
+    /// Spectral radius of the observer's integrator.
+    pub rho_inf: f64,
     /// The estimate has settled when every entry of z is below this (rad) ...
     pub settle_innovation_rad: f64,
     /// ... and every bend angle's rate below this (rad/s) ...
@@ -53,17 +45,10 @@ pub static OBSERVER: TableSpec = TableSpec {
     about: "The state estimate from cable lengths. `z` are the bend angles that model and measurement differ by, two per segment.",
     keys: &[
         Key::default(
-            "kind",
-            Kind::Choice(&["passive", "kalman"]),
-            "",
-            "\"passive\"",
-            "`passive`: the model with a passive correction, stable with cable friction; `kalman`: the reduced Kalman filter, more accurate without friction.",
-        ),
-        Key::default(
             "stiffness_ratio",
             Kind::Float(Range::above(0.0, 10.0)),
             "EI/L",
-            "3.0",
+            "2.0",
             "Spring K of the correction; 1 to 3 matches the arm's impedance, much more leaves torsion undamped.",
         ),
         Key::default("damping_s", Kind::Float(Range::above(0.0, 20.0)), "s", "2.0", "Damper over spring, D/K."),
@@ -78,8 +63,22 @@ pub static OBSERVER: TableSpec = TableSpec {
             "disturbance_time_s",
             Kind::Float(Range::closed(0.3, 100.0)),
             "s",
-            "1.0",
+            "0.4",
             "Time constant of the disturbance estimate; much faster destabilises it.",
+        ),
+        Key::default(
+            "model_damping_ratio",
+            Kind::Float(Range::closed(1.0, 10.0)),
+            "",
+            "2.5",
+            "Damping of the observer's model over the arm's: cables do not see torsion, and an error of it would swing on.",
+        ),
+        Key::default(
+            "rho_inf",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.0",
+            "Spectral radius of the observer's integrator: encoder steps excite the highest modes, which it has to forget.",
         ),
         Key::default(
             "settle_innovation_rad",
@@ -137,11 +136,12 @@ pub static OBSERVER: TableSpec = TableSpec {
 /// Reads `[observer]`.
 pub(super) fn read(table: &Section<'_>) -> ObserverConfig {
     let config = ObserverConfig {
-        kind: if table.choice("kind") == "kalman" { ObserverKind::Kalman } else { ObserverKind::Passive },
         stiffness_ratio: table.float("stiffness_ratio"),
         damping_s: table.float("damping_s"),
         filter_time_s: table.float("filter_time_s"),
         disturbance_time_s: table.float("disturbance_time_s"),
+        model_damping_ratio: table.float("model_damping_ratio"),
+        rho_inf: table.float("rho_inf"),
         settle_innovation_rad: table.float("settle_innovation_rad"),
         settle_rate_radps: table.float("settle_rate_radps"),
         settle_time_s: table.float("settle_time_s"),

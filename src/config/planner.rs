@@ -96,3 +96,11 @@ pub struct PlannerConfig {
     /// Lead time (s) added to the target's sampling time; `None` computes the lag from the weights.
     pub lead_s: Option<f64>,
 }
+
+impl PlannerConfig {
+    /// Distance above the clearance within which the warning branch plans (m): d_w, and never less than the barrier's
+    /// reach, since only the warning branch knows distances.
+    pub fn warning_margin_m(&self) -> f64 {
+        self.warning_distance_m.max(self.barrier.map_or(0.0, |b| b.activation_m))
+    }
+}

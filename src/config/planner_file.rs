@@ -73,7 +73,7 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
             Kind::Float(Range::above(0.0, 1.0)),
             "m",
             "0.01",
-            "d_w: margin on top of the clearance inside which the warning branch plans.",
+            "d_w: margin on top of the clearance inside which the warning branch plans; at least the barrier's activation.",
         ),
         Key::default(
             "warning_hysteresis_m",

@@ -10,6 +10,10 @@
 //! [`supervisor`] decides on the mode from faults, requests and progress, the planner plans, and [`guard`] has the last
 //! look at the tensions. Faults (the machine must change its mode; codes below 100) and limits (the machine acts within
 //! a bound; codes from 100) are kept apart in [`fault`]; what happened is kept in a ring of `Copy` events in [`event`].
+//!
+//! The order on the control thread, with [`Budget`] for the times and a triple buffer slot that holds an
+//! [`ObstaclePair`]: place the obstacles; sample the target now and [`Cycle::lead_s`] ahead; [`Cycle::tick`]; send
+//! [`Cycle::tensions_n`]; [`Cycle::report`]; hand the [`Record`] and the events over.
 
 pub mod budget;
 pub mod cycle;

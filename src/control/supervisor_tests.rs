@@ -9,7 +9,8 @@ const OFF: DrivesInput = DrivesInput { phase: DrivesPhase::Off, ready: true, fau
 
 fn supervisor() -> Supervisor {
     let observer = crate::config::ObserverConfig {
-        kind: crate::config::ObserverKind::Passive,
+        model_damping_ratio: 2.5,
+        rho_inf: 0.0,
         stiffness_ratio: 3.0,
         damping_s: 2.0,
         filter_time_s: 0.3,

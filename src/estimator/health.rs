@@ -60,9 +60,9 @@ impl Health {
         Checked {
             settled: quiet && self.quiet >= self.settle_ticks,
             growth,
-            // Written so that NaN is a finding.
-            beyond_bound: !(innovation <= self.bound),
-            growing: !(growth <= self.growth),
+            // NaN is a finding.
+            beyond_bound: innovation.is_nan() || innovation > self.bound,
+            growing: growth.is_nan() || growth > self.growth,
         }
     }
 }

@@ -13,17 +13,6 @@ use crate::integrator::{Scheme, Stepper};
 use crate::math::block_tridiagonal::BLOCK;
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
-
-/// Spectral radius of the observer's own integrator, whatever the planner's: encoder steps excite the highest modes,
-/// and with the arm's 0.8 they ring on in the accelerations that the planner starts from. With 0 the loop is stable at
-/// a period of 20 ms where it diverged within a second with 0.8, and a slow oscillation of the held arm at K = 3 EI/L
-/// grows half as fast.
-const RHO_INF: f64 = 0.0;
-/// Damping of the observer's model over the arm's. Cables do not see torsion: an error of it swings on in the model at
-/// a few per cent of critical damping, the planner answers it, and the answer drives the arm's own torsion. With more
-/// damping the model's torsion follows its load and forgets its own swings, while bending is measured anyway. Tip
-/// example with obstacles, seed 1, K = 3 EI/L, first 25 s: the tip estimate's largest error falls from 24.8 to 2.5 mm.
-const DAMPING_RATIO: f64 = 2.5;
 /// Stop of the iteration: norm of the coordinates' correction (m, 1). A thousandth of an encoder step moves the tip
 /// by more than this.
 const TOLERANCE: f64 = 1e-8;
@@ -87,7 +76,8 @@ pub struct Observer {
     /// `V = B T`, row-major 11N x angles, and `S^-1 V`.
     pub(super) v: Vec<f64>,
     pub(super) sv: Vec<f64>,
-    scratch: Vec<f64>,
+    /// The panel of moments is dense: every column counts in every node.
+    dense: Vec<usize>,
     pub(super) small_a: Vec<f64>,
     pub(super) small_b: Vec<f64>,
     pub(super) dx: Vec<f64>,
@@ -104,7 +94,7 @@ impl Observer {
     pub fn new(arm_config: &ArmConfig, config: &ObserverConfig, period_s: f64) -> Self {
         let mut arm = Arm::new(arm_config);
         for element in &mut arm.elements {
-            element.damping *= DAMPING_RATIO;
+            element.damping *= config.model_damping_ratio;
         }
         let (n, nc, angles) = (arm.node_count(), arm.cable_count(), 2 * arm.segment_count());
         let space = CableSpace::new(&arm);
@@ -116,7 +106,7 @@ impl Observer {
         let damper = stiffness.iter().map(|k| k * config.damping_s / (config.filter_time_s + period_s)).collect();
         let straight = State::at_rest(arm.straight());
         Self {
-            scheme: Scheme::new(RHO_INF),
+            scheme: Scheme::new(config.rho_inf),
             period: period_s,
             stepper: Stepper::new(&arm),
             full: space.clone(),
@@ -139,7 +129,7 @@ impl Observer {
             effective: vec![0.0; nc],
             v: vec![0.0; BLOCK * n * angles],
             sv: vec![0.0; BLOCK * n * angles],
-            scratch: vec![0.0; BLOCK * angles],
+            dense: vec![angles; n],
             small_a: vec![0.0; angles * angles],
             small_b: vec![0.0; angles],
             dx: vec![0.0; BLOCK * n],
@@ -323,7 +313,7 @@ impl Observer {
             }
         }
         self.sv.copy_from_slice(&self.v);
-        self.stepper.factor.solve_panel_in_place(n, &mut self.sv, &mut self.scratch);
+        self.stepper.factor.solve_panel_in_place(n, &self.dense, &mut self.sv);
     }
 
     /// Disturbance as tensions, and the model's steps through the latency.

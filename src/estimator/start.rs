@@ -93,7 +93,7 @@ impl Observer {
             }
             curvatures.iter_mut().zip(&z).for_each(|(k, d)| *k -= d);
         }
-        if !(innovation < 1e-6) {
+        if innovation.is_nan() || innovation >= 1e-6 {
             return Err(StartError::Shape { innovation_rad: innovation });
         }
         self.arm.bent_into(&curvatures, &mut self.state.q);

@@ -21,11 +21,14 @@ const ITERATIONS_MAX: usize = 40;
 /// Static equilibrium under tensions `u` (N), from the guess in `state`; rates and accelerations are set to zero.
 ///
 /// Newton with step halving on the full load; where that fails, the load is applied in steps (natural continuation
-/// from the guess's own load-free neighbour). Returns the number of Newton iterations. Does not allocate but for one
-/// copy of the guess and of the loads.
+/// from the guess's own load-free neighbour). Returns the number of Newton iterations. Allocates.
+///
+/// Only the tensions are applied in steps: gravity acts in full from the start. A weight that bends a fine mesh far
+/// (40 elements a segment, one radian) is out of reach from straight, because the residual that guards each step grows
+/// with the chords' stiffness; grow it in steps outside.
 ///
 /// # Errors
-/// [`StaticsError::NotReached`]; `state` then holds the last equilibrium on the way.
+/// [`StaticsError::NotReached`]; `state` then holds the last equilibrium on the way, or the guess where there is none.
 pub fn equilibrium(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Result<usize, StaticsError> {
     state.qd.fill(0.0);
     state.qdd.fill(0.0);
@@ -102,7 +105,8 @@ fn newton(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Res
 }
 
 /// Accelerations and multipliers that belong to `state.q`, `state.qd` under tensions `u`: the solution of
-/// `[M, psi_q^T; psi_q, 0] [q''; lambda] = [G u - V q' - dE/dq; -(d^2 psi)(q', q')]`. Sets `a = q''`. Allocates.
+/// `[M, psi_q^T; psi_q, 0] [q''; lambda] = [G u - V q' - dE/dq; -(d^2 psi)(q', q')]`. Sets `a = q''`. Coordinates and
+/// rates must satisfy the constraints and their derivative already. Allocates.
 ///
 /// # Errors
 /// The matrix is singular.

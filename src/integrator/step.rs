@@ -13,6 +13,8 @@ pub struct AffineMap {
     pub x1: Vec<f64>,
     /// Number of cables.
     pub cables: usize,
+    /// Cables, from the first on, that act on a node or before it: the others' columns are zero in a forward sweep.
+    leading: Vec<usize>,
 }
 
 /// How a step ended.
@@ -44,7 +46,6 @@ pub struct Stepper {
     pub linearization: Linearization,
     /// Factorisation of the tangent.
     pub factor: Factor,
-    scratch: Vec<f64>,
     dx: Vec<f64>,
 }
 
@@ -57,7 +58,6 @@ impl Stepper {
         Self {
             linearization: Linearization::new(arm),
             factor: Factor::new(arm.node_count()),
-            scratch: vec![0.0; BLOCK * arm.cable_count().max(1)],
             dx: vec![0.0; BLOCK * arm.node_count()],
         }
     }
@@ -79,7 +79,7 @@ impl Stepper {
         }
         self.factor.solve_in_place(&mut map.x0);
         map.x1.copy_from_slice(&self.linearization.input);
-        self.factor.solve_panel_in_place(map.cables, &mut map.x1, &mut self.scratch);
+        self.factor.solve_panel_in_place(map.cables, &map.leading, &mut map.x1);
     }
 
     /// Adds a correction `dx` (11N, multipliers scaled) to a state and returns the norm of its coordinates' part.
@@ -151,7 +151,11 @@ impl AffineMap {
     /// Room for an arm. Allocates.
     pub fn new(arm: &Arm) -> Self {
         let (n, cables) = (BLOCK * arm.node_count(), arm.cable_count());
-        Self { x0: vec![0.0; n], x1: vec![0.0; n * cables], cables }
+        // A cable's first element pulls at the node before it too.
+        let leading = (0..arm.node_count())
+            .map(|i| (0..cables).rev().find(|&c| arm.cable_elements[c].start <= i + 1).map_or(0, |c| c + 1))
+            .collect();
+        Self { x0: vec![0.0; n], x1: vec![0.0; n * cables], cables, leading }
     }
 
     /// Row `r` of `x1`.

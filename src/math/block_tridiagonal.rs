@@ -3,24 +3,91 @@
 //! Enters: the total tangent S of (14) ordered node by node. Leaves: solutions for one right-hand side or for a panel
 //! of them. The block elimination runs from base to tip; pivoting stays inside the diagonal blocks, which are regular
 //! (each holds its node's own constraints). Not faer's sparse LU: it took 4 to 15 times as long on this pattern.
+//!
+//! Two facts of the pattern are used: a node's equations see only the seven coordinates of the node before
+//! (`lower` has columns 0..7, and no row for the norm constraint), and only its seven equations of motion see the node
+//! behind (`upper` has rows 0..7, and no column for the norm multiplier).
 
-use nalgebra::{SMatrix, SVector};
+use super::simd::add_scaled;
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::{Index, IndexMut};
 
 /// Unknowns per node: position 3, quaternion 4, chord multiplier 3, norm multiplier 1.
 pub const BLOCK: usize = 11;
-/// One block.
-pub type Block = SMatrix<f64, BLOCK, BLOCK>;
-/// One node's share of a vector.
-pub type BlockVector = SVector<f64, BLOCK>;
+/// Row length in memory: whole vectors.
+const STRIDE: usize = 12;
+/// Coordinates of a node, and its equations of motion.
+const COORDINATES: usize = 7;
+/// Unknowns without the norm multiplier; equations without the norm constraint.
+const COUPLED: usize = 10;
 
-/// A block-tridiagonal matrix.
+/// One block, row-major.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(32))]
+pub struct Block([[f64; STRIDE]; BLOCK]);
+
+impl Block {
+    /// All zero.
+    pub const ZERO: Self = Self([[0.0; STRIDE]; BLOCK]);
+
+    /// Adds `factor * m` with its corner at (row, column).
+    #[inline(always)]
+    pub fn add<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        column: usize,
+        m: &nalgebra::SMatrix<f64, R, C>,
+        factor: f64,
+    ) {
+        for r in 0..R {
+            for c in 0..C {
+                self.0[row + r][column + c] += factor * m[(r, c)];
+            }
+        }
+    }
+
+    /// Adds `factor * m^T` with its corner at (row, column).
+    #[inline(always)]
+    pub fn add_transposed<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        column: usize,
+        m: &nalgebra::SMatrix<f64, R, C>,
+        factor: f64,
+    ) {
+        for r in 0..R {
+            for c in 0..C {
+                self.0[row + c][column + r] += factor * m[(r, c)];
+            }
+        }
+    }
+}
+
+impl Index<(usize, usize)> for Block {
+    type Output = f64;
+    #[inline(always)]
+    fn index(&self, (r, c): (usize, usize)) -> &f64 {
+        debug_assert!(c < BLOCK);
+        &self.0[r][c]
+    }
+}
+
+impl IndexMut<(usize, usize)> for Block {
+    #[inline(always)]
+    fn index_mut(&mut self, (r, c): (usize, usize)) -> &mut f64 {
+        debug_assert!(c < BLOCK);
+        &mut self.0[r][c]
+    }
+}
+
+/// A block-tridiagonal matrix with the pattern described above.
 #[derive(Debug, Clone)]
 pub struct BlockTridiagonal {
     /// Diagonal blocks, one per node.
     pub diagonal: Vec<Block>,
-    /// `lower[i]`: rows of node i, columns of node i-1; `lower[0]` is unused.
+    /// `lower[i]`: rows of node i (0..10), columns of node i-1 (0..7); `lower[0]` is unused.
     pub lower: Vec<Block>,
-    /// `upper[i]`: rows of node i, columns of node i+1; the last one is unused.
+    /// `upper[i]`: rows of node i (0..7), columns of node i+1 (0..10); the last one is unused.
     pub upper: Vec<Block>,
 }
 
@@ -32,11 +99,8 @@ pub struct Singular(pub usize);
 impl BlockTridiagonal {
     /// Zero matrix of `nodes` block rows. Allocates.
     pub fn zeros(nodes: usize) -> Self {
-        Self {
-            diagonal: vec![Block::zeros(); nodes],
-            lower: vec![Block::zeros(); nodes],
-            upper: vec![Block::zeros(); nodes],
-        }
+        let zeros = vec![Block::ZERO; nodes];
+        Self { diagonal: zeros.clone(), lower: zeros.clone(), upper: zeros }
     }
 
     /// Number of block rows.
@@ -51,28 +115,30 @@ impl BlockTridiagonal {
 
     /// Sets all entries to zero.
     pub fn clear(&mut self) {
-        self.diagonal.iter_mut().chain(&mut self.lower).chain(&mut self.upper).for_each(|b| b.fill(0.0));
+        self.diagonal.fill(Block::ZERO);
+        self.lower.fill(Block::ZERO);
+        self.upper.fill(Block::ZERO);
     }
 
     /// `y = A x`, both of length 11 N.
     pub fn multiply_into(&self, x: &[f64], y: &mut [f64]) {
         let n = self.len();
+        let dot = |block: &Block, r: usize, i: usize| -> f64 {
+            block.0[r].iter().zip(&x[i * BLOCK..(i + 1) * BLOCK]).map(|(a, x)| a * x).sum()
+        };
         for i in 0..n {
-            let mut s = self.diagonal[i] * part(x, i);
-            if i > 0 {
-                s += self.lower[i] * part(x, i - 1);
+            for r in 0..BLOCK {
+                let mut s = dot(&self.diagonal[i], r, i);
+                if i > 0 {
+                    s += dot(&self.lower[i], r, i - 1);
+                }
+                if i + 1 < n {
+                    s += dot(&self.upper[i], r, i + 1);
+                }
+                y[i * BLOCK + r] = s;
             }
-            if i + 1 < n {
-                s += self.upper[i] * part(x, i + 1);
-            }
-            y[i * BLOCK..(i + 1) * BLOCK].copy_from_slice(s.as_slice());
         }
     }
-}
-
-#[inline]
-fn part(x: &[f64], i: usize) -> BlockVector {
-    BlockVector::from_column_slice(&x[i * BLOCK..(i + 1) * BLOCK])
 }
 
 /// Factorisation of a [`BlockTridiagonal`]; all memory is made by [`Factor::new`].
@@ -80,7 +146,7 @@ fn part(x: &[f64], i: usize) -> BlockVector {
 pub struct Factor {
     /// Inverses of the reduced diagonal blocks.
     inverse: Vec<Block>,
-    /// `inverse[i] upper[i]`.
+    /// `inverse[i] upper[i]`: columns 0..10.
     coupling: Vec<Block>,
     /// Copy of the lower blocks.
     lower: Vec<Block>,
@@ -89,7 +155,7 @@ pub struct Factor {
 impl Factor {
     /// Room for `nodes` block rows. Allocates.
     pub fn new(nodes: usize) -> Self {
-        let zeros = vec![Block::zeros(); nodes];
+        let zeros = vec![Block::ZERO; nodes];
         Self { inverse: zeros.clone(), coupling: zeros.clone(), lower: zeros }
     }
 
@@ -98,92 +164,285 @@ impl Factor {
     /// # Errors
     /// A reduced diagonal block is singular or not finite.
     pub fn factor(&mut self, a: &BlockTridiagonal) -> Result<(), Singular> {
-        let n = a.len();
-        for i in 0..n {
-            let mut d = a.diagonal[i];
-            if i > 0 {
-                d -= a.lower[i] * self.coupling[i - 1];
-                self.lower[i] = a.lower[i];
-            }
-            let inverse = d.try_inverse().ok_or(Singular(i))?;
-            if !inverse.iter().all(|v| v.is_finite()) {
-                return Err(Singular(i));
-            }
-            if i + 1 < n {
-                self.coupling[i] = inverse * a.upper[i];
-            }
-            self.inverse[i] = inverse;
-        }
-        Ok(())
+        Arch::new().dispatch(Factoring { factor: self, a })
     }
 
     /// Solves in place for one right-hand side of length 11 N. Does not allocate.
     pub fn solve_in_place(&self, x: &mut [f64]) {
         let n = self.inverse.len();
         for i in 0..n {
-            let mut s = part(x, i);
+            let (before, here) = x.split_at_mut(i * BLOCK);
+            let mut s = [0.0; STRIDE];
+            s[..BLOCK].copy_from_slice(&here[..BLOCK]);
             if i > 0 {
-                s -= self.lower[i] * part(x, i - 1);
+                let y: &[f64] = &before[(i - 1) * BLOCK..];
+                for (s, row) in s[..COUPLED].iter_mut().zip(&self.lower[i].0) {
+                    *s -= (0..COORDINATES).map(|k| row[k] * y[k]).sum::<f64>();
+                }
             }
-            x[i * BLOCK..(i + 1) * BLOCK].copy_from_slice((self.inverse[i] * s).as_slice());
+            for (h, row) in here.iter_mut().zip(&self.inverse[i].0) {
+                *h = row.iter().zip(&s).map(|(a, s)| a * s).sum();
+            }
         }
         for i in (0..n.saturating_sub(1)).rev() {
-            let s = part(x, i) - self.coupling[i] * part(x, i + 1);
-            x[i * BLOCK..(i + 1) * BLOCK].copy_from_slice(s.as_slice());
+            let (before, after) = x.split_at_mut((i + 1) * BLOCK);
+            for (h, row) in before[i * BLOCK..].iter_mut().zip(&self.coupling[i].0) {
+                *h -= row[..COUPLED].iter().zip(&*after).map(|(a, x)| a * x).sum::<f64>();
+            }
         }
     }
 
-    /// Solves in place for a panel of `columns` right-hand sides, row-major (11 N x columns); `scratch` holds at
-    /// least `11 * columns` numbers. Does not allocate.
-    pub fn solve_panel_in_place(&self, columns: usize, x: &mut [f64], scratch: &mut [f64]) {
-        let n = self.inverse.len();
+    /// Solves in place for a panel of `columns` right-hand sides, row-major (11 N x columns). `leading[i]` columns from
+    /// the first on may be non-zero in the nodes up to i, the others are zero there and skipped. Does not allocate.
+    ///
+    /// # Panics
+    /// If `leading` is shorter than the number of nodes, or the panel than 11 N x columns.
+    pub fn solve_panel_in_place(&self, columns: usize, leading: &[usize], x: &mut [f64]) {
+        Arch::new().dispatch(Panel { factor: self, columns, leading, x });
+    }
+}
+
+/// [`Factor::factor`] with the processor's vectors.
+struct Factoring<'a> {
+    factor: &'a mut Factor,
+    a: &'a BlockTridiagonal,
+}
+
+impl WithSimd for Factoring<'_> {
+    type Output = Result<(), Singular>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { factor, a } = self;
+        for i in 0..a.len() {
+            let mut d = a.diagonal[i];
+            if i > 0 {
+                factor.lower[i] = a.lower[i];
+                let coupling = &factor.coupling[i - 1];
+                for r in 0..COUPLED {
+                    for k in 0..COORDINATES {
+                        add_scaled(simd, -a.lower[i].0[r][k], &coupling.0[k], &mut d.0[r]);
+                    }
+                }
+            }
+            if !invert(simd, &mut d) {
+                return Err(Singular(i));
+            }
+            let mut coupling = Block::ZERO;
+            for r in 0..BLOCK {
+                for k in 0..COORDINATES {
+                    add_scaled(simd, d.0[r][k], &a.upper[i].0[k], &mut coupling.0[r]);
+                }
+            }
+            factor.coupling[i] = coupling;
+            factor.inverse[i] = d;
+        }
+        Ok(())
+    }
+}
+
+/// Gauss-Jordan with row pivoting, in place; false where a pivot is zero or not finite.
+#[inline(always)]
+fn invert<S: Simd>(simd: S, d: &mut Block) -> bool {
+    let m = &mut d.0;
+    let mut order = [0usize; BLOCK];
+    for k in 0..BLOCK {
+        let mut pivot = k;
+        for r in k + 1..BLOCK {
+            if m[r][k].abs() > m[pivot][k].abs() {
+                pivot = r;
+            }
+        }
+        order[k] = pivot;
+        m.swap(k, pivot);
+        let p = m[k][k];
+        if !(p != 0.0 && p.is_finite()) {
+            return false;
+        }
+        m[k][k] = 1.0;
+        let inverse = 1.0 / p;
+        m[k].iter_mut().for_each(|v| *v *= inverse);
+        let row = m[k];
+        for (r, other) in m.iter_mut().enumerate() {
+            if r != k {
+                let f = -other[k];
+                other[k] = 0.0;
+                add_scaled(simd, f, &row, other);
+            }
+        }
+    }
+    // Row swaps of the matrix are column swaps of its inverse, undone last to first.
+    for k in (0..BLOCK).rev() {
+        if order[k] != k {
+            for row in m.iter_mut() {
+                row.swap(k, order[k]);
+            }
+        }
+    }
+    m.iter().all(|row| row[..BLOCK].iter().all(|v| v.is_finite()))
+}
+
+/// [`Factor::solve_panel_in_place`] with the processor's vectors.
+struct Panel<'a> {
+    factor: &'a Factor,
+    columns: usize,
+    leading: &'a [usize],
+    x: &'a mut [f64],
+}
+
+impl WithSimd for Panel<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { factor, columns, leading, x } = self;
+        let n = factor.inverse.len();
         let rows = BLOCK * columns;
-        let scratch = &mut scratch[..rows];
         for i in 0..n {
-            let (before, rest) = x.split_at_mut(i * rows);
-            let here = &mut rest[..rows];
-            if i > 0 {
-                subtract_product(&self.lower[i], &before[(i - 1) * rows..], here, columns);
+            let (before, here) = x.split_at_mut(i * rows);
+            // Of the node before, only its own leading columns are non-zero.
+            let coupled = if i > 0 { leading[i - 1].min(columns) } else { 0 };
+            let y = if i > 0 { &before[(i - 1) * rows..] } else { &[][..] };
+            let (lower, inverse) = (&factor.lower[i], &factor.inverse[i]);
+            let mut c = 0;
+            let active = leading[i].min(columns);
+            while c < active {
+                let tail = c + S::F64_LANES > columns;
+                let y = (c < coupled).then_some(y);
+                c += if tail {
+                    forward(Scalars, lower, inverse, columns, c, y, &mut here[..rows])
+                } else {
+                    forward(Lanes(simd), lower, inverse, columns, c, y, &mut here[..rows])
+                };
             }
-            scratch.fill(0.0);
-            add_product(&self.inverse[i], here, scratch, columns);
-            here.copy_from_slice(scratch);
         }
         for i in (0..n.saturating_sub(1)).rev() {
-            let (before, rest) = x.split_at_mut((i + 1) * rows);
-            subtract_product(&self.coupling[i], &rest[..rows], &mut before[i * rows..], columns);
-        }
-    }
-}
-
-/// `y += a x` for row-major panels of 11 rows.
-fn add_product(a: &Block, x: &[f64], y: &mut [f64], columns: usize) {
-    for r in 0..BLOCK {
-        let out = &mut y[r * columns..(r + 1) * columns];
-        for k in 0..BLOCK {
-            let f = a[(r, k)];
-            if f != 0.0 {
-                for (o, v) in out.iter_mut().zip(&x[k * columns..(k + 1) * columns]) {
-                    *o += f * v;
-                }
+            let (before, after) = x.split_at_mut((i + 1) * rows);
+            let here = &mut before[i * rows..];
+            let coupling = &factor.coupling[i];
+            let mut c = 0;
+            while c < columns {
+                c += if c + S::F64_LANES > columns {
+                    backward(Scalars, coupling, columns, c, after, here)
+                } else {
+                    backward(Lanes(simd), coupling, columns, c, after, here)
+                };
             }
         }
     }
 }
 
-/// `y -= a x` for row-major panels of 11 rows.
-fn subtract_product(a: &Block, x: &[f64], y: &mut [f64], columns: usize) {
+/// A few columns at once: a vector, or a single number at the end of a row.
+trait Columns: Copy {
+    type Value: Copy;
+    const WIDTH: usize;
+    fn splat(self, v: f64) -> Self::Value;
+    fn load(self, s: &[f64]) -> Self::Value;
+    fn store(self, v: Self::Value, s: &mut [f64]);
+    /// `a b + c`.
+    fn multiply_add(self, a: Self::Value, b: Self::Value, c: Self::Value) -> Self::Value;
+}
+
+#[derive(Clone, Copy)]
+struct Scalars;
+
+impl Columns for Scalars {
+    type Value = f64;
+    const WIDTH: usize = 1;
+    #[inline(always)]
+    fn splat(self, v: f64) -> f64 {
+        v
+    }
+    #[inline(always)]
+    fn load(self, s: &[f64]) -> f64 {
+        s[0]
+    }
+    #[inline(always)]
+    fn store(self, v: f64, s: &mut [f64]) {
+        s[0] = v;
+    }
+    #[inline(always)]
+    fn multiply_add(self, a: f64, b: f64, c: f64) -> f64 {
+        a * b + c
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Lanes<S>(S);
+
+impl<S: Simd> Columns for Lanes<S> {
+    type Value = S::f64s;
+    const WIDTH: usize = S::F64_LANES;
+    #[inline(always)]
+    fn splat(self, v: f64) -> S::f64s {
+        self.0.splat_f64s(v)
+    }
+    #[inline(always)]
+    fn load(self, s: &[f64]) -> S::f64s {
+        S::as_simd_f64s(&s[..S::F64_LANES]).0[0]
+    }
+    #[inline(always)]
+    fn store(self, v: S::f64s, s: &mut [f64]) {
+        S::as_mut_simd_f64s(&mut s[..S::F64_LANES]).0[0] = v;
+    }
+    #[inline(always)]
+    fn multiply_add(self, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
+        self.0.mul_add_e_f64s(a, b, c)
+    }
+}
+
+/// Columns `c..` of one node: `here = inverse * (here - lower * y)`; returns how many were done.
+#[inline(always)]
+fn forward<C: Columns>(
+    w: C,
+    lower: &Block,
+    inverse: &Block,
+    columns: usize,
+    c: usize,
+    y: Option<&[f64]>,
+    here: &mut [f64],
+) -> usize {
+    let mut s = [w.splat(0.0); BLOCK];
     for r in 0..BLOCK {
-        let out = &mut y[r * columns..(r + 1) * columns];
-        for k in 0..BLOCK {
-            let f = a[(r, k)];
-            if f != 0.0 {
-                for (o, v) in out.iter_mut().zip(&x[k * columns..(k + 1) * columns]) {
-                    *o -= f * v;
-                }
+        s[r] = w.load(&here[r * columns + c..]);
+    }
+    if let Some(y) = y {
+        for k in 0..COORDINATES {
+            let v = w.load(&y[k * columns + c..]);
+            for r in 0..COUPLED {
+                s[r] = w.multiply_add(w.splat(-lower.0[r][k]), v, s[r]);
             }
         }
     }
+    let mut out = [w.splat(0.0); BLOCK];
+    for k in 0..BLOCK {
+        for r in 0..BLOCK {
+            out[r] = w.multiply_add(w.splat(inverse.0[r][k]), s[k], out[r]);
+        }
+    }
+    for r in 0..BLOCK {
+        w.store(out[r], &mut here[r * columns + c..]);
+    }
+    C::WIDTH
+}
+
+/// Columns `c..` of one node: `here -= coupling * after`; returns how many were done.
+#[inline(always)]
+fn backward<C: Columns>(w: C, coupling: &Block, columns: usize, c: usize, after: &[f64], here: &mut [f64]) -> usize {
+    let mut s = [w.splat(0.0); BLOCK];
+    for r in 0..BLOCK {
+        s[r] = w.load(&here[r * columns + c..]);
+    }
+    for k in 0..COUPLED {
+        let v = w.load(&after[k * columns + c..]);
+        for r in 0..BLOCK {
+            s[r] = w.multiply_add(w.splat(-coupling.0[r][k]), v, s[r]);
+        }
+    }
+    for r in 0..BLOCK {
+        w.store(s[r], &mut here[r * columns + c..]);
+    }
+    C::WIDTH
 }
 
 #[cfg(test)]
@@ -195,25 +454,33 @@ mod tests {
     fn random(nodes: usize, seed: u64) -> BlockTridiagonal {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut a = BlockTridiagonal::zeros(nodes);
-        for b in a.diagonal.iter_mut().chain(&mut a.lower).chain(&mut a.upper) {
-            b.iter_mut().for_each(|v| *v = rng.random_range(-1.0..1.0));
-        }
-        for b in &mut a.diagonal {
-            *b += Block::identity() * 4.0;
+        for i in 0..nodes {
+            for r in 0..BLOCK {
+                for c in 0..BLOCK {
+                    a.diagonal[i][(r, c)] = rng.random_range(-1.0..1.0);
+                    if r < COUPLED && c < COORDINATES {
+                        a.lower[i][(r, c)] = rng.random_range(-0.3..0.3);
+                    }
+                    if r < COORDINATES && c < COUPLED {
+                        a.upper[i][(r, c)] = rng.random_range(-0.3..0.3);
+                    }
+                }
+                // Off the diagonal: without row pivoting the inverse would fail.
+                a.diagonal[i][(r, (r + 3) % BLOCK)] += 4.0;
+            }
         }
         a
     }
 
     #[test]
     fn solutions_satisfy_the_system_for_vectors_and_panels() {
-        for nodes in [1, 2, 20] {
+        for (nodes, columns) in [(1, 1), (2, 4), (20, 5), (20, 24)] {
             let a = random(nodes, 7);
             let mut factor = Factor::new(nodes);
             factor.factor(&a).unwrap();
-            let columns = 5;
             let rhs: Vec<f64> = (0..nodes * BLOCK * columns).map(|k| (k as f64 * 0.37).sin()).collect();
             let mut panel = rhs.clone();
-            factor.solve_panel_in_place(columns, &mut panel, &mut vec![0.0; BLOCK * columns]);
+            factor.solve_panel_in_place(columns, &vec![columns; nodes], &mut panel);
             for c in 0..columns {
                 let column = |m: &[f64]| (0..nodes * BLOCK).map(|r| m[r * columns + c]).collect::<Vec<_>>();
                 let mut one = column(&rhs);
@@ -229,10 +496,31 @@ mod tests {
     }
 
     #[test]
+    fn skipping_leading_zeros_changes_nothing() {
+        let (nodes, columns) = (7, 6);
+        let a = random(nodes, 3);
+        let mut factor = Factor::new(nodes);
+        factor.factor(&a).unwrap();
+        // Column c begins at node c.
+        let leading: Vec<usize> = (0..nodes).map(|i| (i + 1).min(columns)).collect();
+        let mut rhs = vec![0.0; nodes * BLOCK * columns];
+        for i in 0..nodes {
+            for r in 0..BLOCK {
+                for c in 0..leading[i] {
+                    rhs[(i * BLOCK + r) * columns + c] = ((i * 31 + r * 7 + c) as f64).cos();
+                }
+            }
+        }
+        let mut all = rhs.clone();
+        factor.solve_panel_in_place(columns, &vec![columns; nodes], &mut all);
+        factor.solve_panel_in_place(columns, &leading, &mut rhs);
+        assert!(rhs.iter().zip(&all).all(|(x, y)| (x - y).abs() < 1e-13));
+    }
+
+    #[test]
     fn singular_and_non_finite_blocks_are_refused_with_their_node() {
         let mut a = random(3, 1);
-        a.diagonal[0].fill_row(2, 0.0);
-        a.upper[0].fill(0.0);
+        (0..BLOCK).for_each(|c| a.diagonal[0][(2, c)] = 0.0);
         assert_eq!(Factor::new(3).factor(&a), Err(Singular(0)));
         let mut a = random(3, 1);
         a.diagonal[2][(4, 4)] = f64::NAN;

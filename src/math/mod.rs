@@ -5,3 +5,4 @@
 pub mod block_tridiagonal;
 pub mod dense;
 pub mod quaternion;
+pub mod simd;

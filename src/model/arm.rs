@@ -75,7 +75,7 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// Derives the constants. Allocates; nothing below does.
+    /// Derives the constants. Allocates.
     pub fn new(config: &ArmConfig) -> Self {
         let mut nodes = Vec::with_capacity(config.node_count());
         let mut elements = Vec::with_capacity(config.node_count());
@@ -212,7 +212,7 @@ impl Arm {
     }
 
     /// Constant-curvature chain (7N): curvatures (1/m) about local y and z of each segment, `(y, z)` segment by
-    /// segment; satisfies the constraints to the accuracy of the chord rule. Allocates.
+    /// segment; satisfies the constraints exactly. Allocates.
     pub fn bent(&self, curvatures: &[f64]) -> Vec<f64> {
         let mut q = vec![0.0; 7 * self.node_count()];
         self.bent_into(curvatures, &mut q);

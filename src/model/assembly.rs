@@ -363,8 +363,7 @@ impl Arm {
             block[(c, c)] += node.mass * (rates.cb + alpha * rates.cg);
         }
         let t = inertia::tangent(node, &p, &pd, &pdd, alpha, rates.cg, rates.cb);
-        let mut view = block.fixed_view_mut::<4, 4>(3, 3);
-        view += t;
+        block.add(3, 3, &t, 1.0);
         // Norm constraint.
         let mu = m.lambda[4 * k + 3];
         add4(&mut out.f, row + 3, &p, 2.0 * mu);
@@ -419,40 +418,40 @@ impl Arm {
         jj += k.pp[2];
 
         let d = &mut out.tangent.diagonal[i];
-        add_matrix(d, 0, 0, &k.rr, 1.0);
-        add_matrix(d, 0, 3, &k.rp[1], sign);
-        add_matrix(d, 3, 0, &k.rp[1].transpose(), sign);
-        add_matrix(d, 3, 3, &jj, 1.0);
+        d.add(0, 0, &k.rr, 1.0);
+        d.add(0, 3, &k.rp[1], sign);
+        d.add_transposed(3, 0, &k.rp[1], sign);
+        d.add(3, 3, &jj, 1.0);
         for c in 0..3 {
             d[(c, 7 + c)] += s;
             d[(7 + c, c)] += s;
         }
-        add_matrix(d, 7, 3, &dj, s * sign);
-        add_matrix(d, 3, 7, &dj.transpose(), s * sign);
+        d.add(7, 3, &dj, s * sign);
+        d.add_transposed(3, 7, &dj, s * sign);
         if i > 0 {
             let d = &mut out.tangent.diagonal[i - 1];
-            add_matrix(d, 0, 0, &k.rr, 1.0);
-            add_matrix(d, 0, 3, &k.rp[0], 1.0);
-            add_matrix(d, 3, 0, &k.rp[0].transpose(), 1.0);
-            add_matrix(d, 3, 3, &ii, 1.0);
+            d.add(0, 0, &k.rr, 1.0);
+            d.add(0, 3, &k.rp[0], 1.0);
+            d.add_transposed(3, 0, &k.rp[0], 1.0);
+            d.add(3, 3, &ii, 1.0);
             let lower = &mut out.tangent.lower[i];
-            add_matrix(lower, 0, 0, &k.rr, -1.0);
-            add_matrix(lower, 0, 3, &k.rp[0], -1.0);
-            add_matrix(lower, 3, 0, &k.rp[1].transpose(), -sign);
-            add_matrix(lower, 3, 3, &ji, sign);
+            lower.add(0, 0, &k.rr, -1.0);
+            lower.add(0, 3, &k.rp[0], -1.0);
+            lower.add_transposed(3, 0, &k.rp[1], -sign);
+            lower.add(3, 3, &ji, sign);
             for c in 0..3 {
                 lower[(7 + c, c)] -= s;
             }
-            add_matrix(lower, 7, 3, &di, s);
+            lower.add(7, 3, &di, s);
             let upper = &mut out.tangent.upper[i - 1];
-            add_matrix(upper, 0, 0, &k.rr, -1.0);
-            add_matrix(upper, 3, 0, &k.rp[0].transpose(), -1.0);
-            add_matrix(upper, 0, 3, &k.rp[1], -sign);
-            add_matrix(upper, 3, 3, &ij, sign);
+            upper.add(0, 0, &k.rr, -1.0);
+            upper.add_transposed(3, 0, &k.rp[0], -1.0);
+            upper.add(0, 3, &k.rp[1], -sign);
+            upper.add(3, 3, &ij, sign);
             for c in 0..3 {
                 upper[(c, 7 + c)] -= s;
             }
-            add_matrix(upper, 3, 7, &di.transpose(), s);
+            upper.add_transposed(3, 7, &di, s);
         }
     }
 }
@@ -465,15 +464,15 @@ impl Arm {
             let (ends, sign) = ends(self, q, q, i);
             let (di, dj) = self.chord_jacobian(e, &ends);
             let d = &mut out.diagonal[i];
-            add_matrix(d, 0, 0, &(Matrix3::identity() * self.nodes[i].mass), 1.0);
+            d.add(0, 0, &(Matrix3::identity() * self.nodes[i].mass), 1.0);
             let l = body_rate(&ends.pj);
-            add_matrix(d, 3, 3, &(4.0 * (l.transpose() * Matrix3::from_diagonal(&self.nodes[i].inertia) * l)), 1.0);
+            d.add(3, 3, &(4.0 * (l.transpose() * Matrix3::from_diagonal(&self.nodes[i].inertia) * l)), 1.0);
             for c in 0..3 {
                 d[(c, 7 + c)] += scale;
                 d[(7 + c, c)] += scale;
             }
-            add_matrix(d, 7, 3, &dj, scale * sign);
-            add_matrix(d, 3, 7, &dj.transpose(), scale * sign);
+            d.add(7, 3, &dj, scale * sign);
+            d.add_transposed(3, 7, &dj, scale * sign);
             for c in 0..4 {
                 d[(3 + c, 10)] = 2.0 * sign * ends.pj[c] * scale;
                 d[(10, 3 + c)] = 2.0 * sign * ends.pj[c] * scale;
@@ -483,20 +482,9 @@ impl Arm {
                     out.lower[i][(7 + c, c)] -= scale;
                     out.upper[i - 1][(c, 7 + c)] -= scale;
                 }
-                add_matrix(&mut out.lower[i], 7, 3, &di, scale);
-                add_matrix(&mut out.upper[i - 1], 3, 7, &di.transpose(), scale);
+                out.lower[i].add(7, 3, &di, scale);
+                out.upper[i - 1].add_transposed(3, 7, &di, scale);
             }
         }
     }
-}
-
-fn add_matrix<const R: usize, const C: usize>(
-    block: &mut crate::math::block_tridiagonal::Block,
-    row: usize,
-    column: usize,
-    m: &nalgebra::SMatrix<f64, R, C>,
-    factor: f64,
-) {
-    let mut view = block.fixed_view_mut::<R, C>(row, column);
-    view += m * factor;
 }

@@ -55,7 +55,8 @@ pub enum Status {
     IterationLimit,
     /// The time budget ended the step; the best so far goes out.
     BudgetSpent,
-    /// The step could not be linearised; the last tensions are kept.
+    /// State, goal or last tensions are not finite, or the tangent is singular: the last tensions are kept, those
+    /// that are not numbers at their lower bound. [`Planner::planned`] is then no plan.
     Singular,
 }
 
@@ -224,7 +225,8 @@ impl Planner {
         let mut next = std::mem::take(&mut self.next);
         self.scheme.predict(eta, inputs.state, &mut next);
         for i in 0..self.u.len() {
-            let u = inputs.u_previous[i].clamp(self.box_low[i], self.box_high[i]);
+            let u = inputs.u_previous[i];
+            let u = if u.is_nan() { self.box_low[i] } else { u.clamp(self.box_low[i], self.box_high[i]) };
             self.low[i] = (u - self.rate_max).max(self.box_low[i]);
             self.high[i] = (u + self.rate_max).min(self.box_high[i]);
             self.previous[i] = u;
@@ -244,7 +246,11 @@ impl Planner {
         };
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
-        while report.iterations < self.config.newton_iterations_max {
+        // Where the last tensions are unknown there is nothing to plan a change from.
+        if inputs.u_previous.iter().any(|u| u.is_nan()) {
+            report.status = Status::Singular;
+        }
+        while report.status != Status::Singular && report.iterations < self.config.newton_iterations_max {
             if obstacles {
                 self.watch(&next, inputs, &mut report);
             }
@@ -263,6 +269,10 @@ impl Planner {
                 &self.previous,
             );
             self.account_for_disturbance(inputs.disturbance);
+            if !self.quadratic.is_finite() {
+                report.status = Status::Singular;
+                break;
+            }
             match report.branch {
                 Branch::Safe => self.solve_safe(&mut report),
                 Branch::Warning => self.solve_warning(&next, inputs, rng, stop, &mut report),
@@ -309,7 +319,7 @@ impl Planner {
     fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) {
         let c = &self.config;
         self.arm.frames_into(&next.q, &mut self.frames.r, &mut self.frames.t);
-        let reach = c.clearance_m + c.warning_distance_m + c.warning_hysteresis_m + REACH_M;
+        let reach = c.clearance_m + c.warning_margin_m() + c.warning_hysteresis_m + REACH_M;
         let found = self.body.find(&self.frames.r, &self.frames.t, inputs.ahead, reach);
         report.distance_min = found.minimum;
         self.pairs.rows.clear();

@@ -156,7 +156,8 @@ impl Solver {
         loop {
             let (iterations, residual) = self.newton(problem, size);
             report.iterations += iterations;
-            report.kkt_residual = residual / size;
+            // Over an infinite size everything would be small.
+            report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
             for i in 0..n {
                 u[i] = (self.z[i] * self.scale[i]).clamp(problem.lower[i], problem.upper[i]);
             }
@@ -175,7 +176,9 @@ impl Solver {
             problem.d[row] + problem.c[row * n..(row + 1) * n].iter().zip(&*u).map(|(c, u)| c * u).sum::<f64>()
         };
         relaxed |= (0..p).any(|r| !self.used[r] && value(r) < -1e-9);
-        report.status = if report.kkt_residual > 1e-9 {
+        // Not `>`: a residual that is not a number is no optimum.
+        let optimal = report.kkt_residual <= 1e-9;
+        report.status = if !optimal {
             Status::IterationLimit
         } else if relaxed {
             Status::Relaxed
@@ -322,7 +325,15 @@ impl Solver {
     fn natural(&self, z: &[f64], force: &[f64]) -> f64 {
         (0..z.len()).fold(0.0f64, |worst, i| {
             let moved = (z[i] - force[i]).clamp(self.low[i], self.high[i]);
-            worst.max((z[i] - moved).abs())
+            // `max` would lose a NaN, and with it the only sign of a problem that is not one.
+            let off = (z[i] - moved).abs();
+            if off.is_nan() {
+                off
+            } else if worst.is_nan() {
+                worst
+            } else {
+                worst.max(off)
+            }
         })
     }
 }
@@ -452,6 +463,18 @@ mod tests {
         assert_eq!(report.status, Status::Relaxed, "{report:?}");
         assert!(u[0] > 49.9 && u[0] < 100.1, "{u:?}");
         assert!(u.iter().all(|v| (0.0..=220.0).contains(v)));
+    }
+
+    #[test]
+    fn a_problem_that_is_not_finite_is_not_optimal_and_its_answer_stays_in_the_box() {
+        for entry in [f64::NAN, f64::INFINITY] {
+            let mut case = random(6, 0, 3);
+            case.b[2] = entry;
+            let mut u = vec![10.0; 6];
+            let report = Solver::new(6, 0).solve(&case.problem(), &mut u);
+            assert_eq!(report.status, Status::IterationLimit, "{entry}: {report:?}");
+            assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "{entry}: {u:?}");
+        }
     }
 
     #[test]

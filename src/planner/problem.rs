@@ -2,8 +2,10 @@
 
 use crate::integrator::AffineMap;
 use crate::math::block_tridiagonal::BLOCK;
+use crate::math::simd::{add_four, add_scaled};
 use crate::model::{Arm, Rates, State};
 use nalgebra::{Vector3, Vector4};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Desired outputs with their weights Q.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,6 +71,9 @@ pub struct Quadratic {
     /// Output sensitivities of the shape mode: curvatures, then rates; rows x cables.
     rows: Vec<f64>,
     errors: Vec<f64>,
+    /// Weight and slope of each row that the quadratic sums over.
+    weights: Vec<f64>,
+    slopes: Vec<f64>,
 }
 
 impl Quadratic {
@@ -81,6 +86,8 @@ impl Quadratic {
             c: 0.0,
             rows: vec![0.0; outputs * nc],
             errors: vec![0.0; outputs],
+            weights: vec![0.0; (BLOCK * arm.node_count()).max(outputs)],
+            slopes: vec![0.0; (BLOCK * arm.node_count()).max(outputs)],
         }
     }
 
@@ -101,6 +108,7 @@ impl Quadratic {
         self.a.fill(0.0);
         self.b.fill(0.0);
         self.c = 0.0;
+        self.weights.fill(0.0);
         match *goal {
             Goal::Tip { position, quaternion, pose, rate, damping } => {
                 let n = arm.node_count();
@@ -108,23 +116,29 @@ impl Quadratic {
                 let near = Goal::near(&quaternion, &p);
                 for i in 0..n {
                     let tip = i + 1 == n;
+                    let rate_weight = if tip { rate } else { damping };
                     for c in 0..7 {
                         let row = BLOCK * i + c;
                         // The coordinate's and its rate's corrections are one row: dq' = cg dq.
-                        let rate_weight = if tip { rate } else { damping };
                         let e_rate = state.qd[7 * i + c] + rates.cg * map.x0[row];
-                        let mut weight = rates.cg * rates.cg * rate_weight;
-                        let mut slope = rates.cg * rate_weight * e_rate;
+                        self.weights[row] = rates.cg * rates.cg * rate_weight;
+                        self.slopes[row] = rates.cg * rate_weight * e_rate;
                         self.c += rate_weight * e_rate * e_rate;
                         if tip {
                             let e = map.x0[row] + if c < 3 { r[c] - position[c] } else { p[c - 3] - near[c - 3] };
-                            weight += pose;
-                            slope += pose * e;
+                            self.weights[row] += pose;
+                            self.slopes[row] += pose * e;
                             self.c += pose * e * e;
                         }
-                        add_row(&mut self.a, &mut self.b, map.row(row), weight, slope);
                     }
                 }
+                Arch::new().dispatch(Gram {
+                    a: &mut self.a,
+                    b: &mut self.b,
+                    rows: &map.x1,
+                    weights: &self.weights,
+                    slopes: &self.slopes,
+                });
             }
             Goal::Shape { curvatures, weight } => {
                 let outputs = curvatures.len();
@@ -156,22 +170,30 @@ impl Quadratic {
                         }
                     }
                 }
-                for o in 0..2 * outputs {
-                    let e = self.errors[o];
-                    self.c += weight * e * e;
-                    add_row(&mut self.a, &mut self.b, &self.rows[o * nc..(o + 1) * nc], weight, weight * e);
+                self.c += weight * self.errors.iter().map(|e| e * e).sum::<f64>();
+                self.weights[..2 * outputs].fill(weight);
+                for (slope, e) in self.slopes.iter_mut().zip(&self.errors) {
+                    *slope = weight * e;
                 }
+                Arch::new().dispatch(Gram {
+                    a: &mut self.a,
+                    b: &mut self.b,
+                    rows: &self.rows,
+                    weights: &self.weights[..2 * outputs],
+                    slopes: &self.slopes,
+                });
             }
         }
         for i in 0..nc {
-            // add_row fills the upper triangle.
-            for j in 0..i {
-                self.a[i * nc + j] = self.a[j * nc + i];
-            }
             self.a[i * nc + i] += tension + change[i];
             self.b[i] -= change[i] * u_previous[i];
             self.c += change[i] * u_previous[i] * u_previous[i];
         }
+    }
+
+    /// False where the goal, the state or the tensions it was built from were not finite.
+    pub fn is_finite(&self) -> bool {
+        self.c.is_finite() && self.b.iter().chain(&self.a).all(|v| v.is_finite())
     }
 
     /// `J(u)` on the affine map.
@@ -186,17 +208,51 @@ impl Quadratic {
     }
 }
 
-/// `a += weight s s^T` (upper triangle), `b += slope s`.
-fn add_row(a: &mut [f64], b: &mut [f64], s: &[f64], weight: f64, slope: f64) {
-    let n = s.len();
-    for i in 0..n {
-        b[i] += slope * s[i];
-        let f = weight * s[i];
-        for (x, y) in a[i * n + i..(i + 1) * n].iter_mut().zip(&s[i..]) {
-            *x += f * y;
+/// `a += sum w_r s_r s_r^T`, `b += sum v_r s_r` over the rows `s_r` of a matrix, row by row of weights and slopes; rows of
+/// weight zero cost nothing. Whole rows of `a`: half of them would be no less work for vectors.
+struct Gram<'a> {
+    a: &'a mut [f64],
+    b: &'a mut [f64],
+    rows: &'a [f64],
+    weights: &'a [f64],
+    slopes: &'a [f64],
+}
+
+impl WithSimd for Gram<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let n = self.b.len();
+        let mut group = [0usize; GROUP];
+        let mut filled = 0;
+        for (r, w) in self.weights.iter().enumerate() {
+            if *w == 0.0 {
+                continue;
+            }
+            add_scaled(simd, self.slopes[r], &self.rows[r * n..(r + 1) * n], self.b);
+            group[filled] = r;
+            filled += 1;
+            if filled == GROUP {
+                let rows: [&[f64]; GROUP] = std::array::from_fn(|k| &self.rows[group[k] * n..(group[k] + 1) * n]);
+                for i in 0..n {
+                    let f: [f64; GROUP] = std::array::from_fn(|k| self.weights[group[k]] * rows[k][i]);
+                    add_four(simd, f, rows, &mut self.a[i * n..(i + 1) * n]);
+                }
+                filled = 0;
+            }
+        }
+        for r in &group[..filled] {
+            let row = &self.rows[r * n..(r + 1) * n];
+            for i in 0..n {
+                add_scaled(simd, self.weights[*r] * row[i], row, &mut self.a[i * n..(i + 1) * n]);
+            }
         }
     }
 }
+
+/// Rows that are added at once: each entry of `a` is then read and written once for all of them.
+const GROUP: usize = 4;
 
 /// `u^T R u + du^T W du`.
 pub fn tension_cost(tension: f64, change: &[f64], u: &[f64], u_previous: &[f64]) -> f64 {

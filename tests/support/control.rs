@@ -68,7 +68,8 @@ pub fn settings() -> Settings {
         shape: ShapeWeights { tension: 1.0, tension_change: vec![2e6; 4], curvature: 1e10 },
     };
     let observer = ObserverConfig {
-        kind: ObserverKind::Passive,
+        model_damping_ratio: 2.5,
+        rho_inf: 0.0,
         stiffness_ratio: 3.0,
         damping_s: 2.0,
         filter_time_s: 0.3,

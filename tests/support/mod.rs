@@ -1,6 +1,8 @@
 //! Reading of the golden files (format: `tests/golden/FORMULAS.md`).
 #![allow(dead_code)] // each test binary uses its own part
 
+pub mod arms;
+
 use serde_json::Value;
 use sinew::config::{ArmConfig, ChordRule, Routing, StrainRule};
 use std::path::PathBuf;

@@ -9,24 +9,15 @@
 
 mod closed_loop;
 mod scenario;
+mod settings;
 mod table;
 
 use clap::{Parser, ValueEnum};
-use closed_loop::{Case, Outcome, Settings};
-use sinew::config::{
-    BarrierConfig, BodyModel, ObserverConfig, ObserverKind, PlannerConfig, SwarmConfig, WarningBranch,
-};
-use sinew::integrator::Scheme;
+use closed_loop::{Case, Outcome};
+use scenario::ScenarioName;
+use settings::Choice;
+use sinew::config::WarningBranch;
 use std::sync::Mutex;
-
-/// Which task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum ScenarioName {
-    /// The paper's tip example.
-    Tip,
-    /// The paper's shape example.
-    Shape,
-}
 
 /// Which branch plans near obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -44,8 +35,6 @@ enum Warning {
 enum Kind {
     /// Spring and damper in cable space.
     Passive,
-    /// Reduced Kalman filter.
-    Kalman,
 }
 
 /// Closed-loop study of the observers.
@@ -94,13 +83,13 @@ struct Arguments {
     /// Lead (s); the lag that follows from the weights where absent.
     #[arg(long)]
     lead: Option<f64>,
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 2.0)]
     stiffness_ratio: f64,
     #[arg(long, default_value_t = 2.0)]
     damping: f64,
     #[arg(long, default_value_t = 0.3)]
     filter: f64,
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 0.4)]
     disturbance_time: f64,
     /// Largest rate of a tension (N/s).
     #[arg(long)]
@@ -116,73 +105,29 @@ struct Arguments {
 }
 
 impl Arguments {
-    fn settings(&self, kind: Kind) -> Settings {
-        let scenario = scenario::Scenario::new(self.scenario);
-        let mut arm = sinew::config::ArmConfig::paper();
-        if let Some(rate) = self.rate_max {
-            arm.tension_rate_npsmax = rate;
-        }
-        let scheme = Scheme::new(arm.rho_inf);
-        let lag = scenario.rate_over_pose() * scheme.gamma / (scheme.phi * self.lookahead);
-        let observer = ObserverConfig {
-            kind: match kind {
-                Kind::Passive => ObserverKind::Passive,
-                Kind::Kalman => ObserverKind::Kalman,
-            },
-            stiffness_ratio: self.stiffness_ratio,
-            damping_s: self.damping,
-            filter_time_s: self.filter,
-            disturbance_time_s: self.disturbance_time,
-            settle_innovation_rad: 0.01,
-            settle_rate_radps: 0.01,
-            settle_time_s: 0.5,
-            settle_timeout_s: 20.0,
-            innovation_bound_rad: 0.3,
-            innovation_growth_rad: 0.15,
-            innovation_window_s: 0.1,
-            latency_ticks: 0,
-        };
-        let planner = PlannerConfig {
-            lookahead_s: self.lookahead,
-            period_s: self.period,
-            newton_iterations_max: self.iterations,
-            newton_tolerance: 1e-8,
+    fn choice(&self) -> Choice {
+        Choice {
+            scenario: self.scenario,
+            duration: self.duration,
+            short: self.short,
+            period: self.period,
+            lookahead: self.lookahead,
+            iterations: self.iterations,
+            clearance: self.clearance,
+            gamma: self.gamma,
+            activation: self.activation,
             warning: match self.warning {
                 Warning::Seeded => WarningBranch::Seeded,
                 Warning::Complementarity => WarningBranch::Complementarity,
                 Warning::Swarm => WarningBranch::Swarm,
             },
-            avoidance: true,
-            body: if self.points { BodyModel::Points } else { BodyModel::Arm },
-            body_radius_m: 0.0,
-            clearance_m: self.clearance,
-            warning_distance_m: if self.gamma > 0.0 { self.activation } else { 0.01 },
-            warning_hysteresis_m: 0.005,
-            barrier: (self.gamma > 0.0).then_some(BarrierConfig { gamma: self.gamma, activation_m: self.activation }),
-            swarm: SwarmConfig {
-                particles_normal: 15,
-                particles_uniform: 5,
-                sigma_n: 2.0,
-                chaotic_min: 2,
-                chaotic_max: 8,
-                inertia: [0.9, 0.4],
-                acceleration: [1.5, 1.5],
-                sweeps_max: 10,
-                stall_sweeps: 3,
-                tolerance: 1e-6,
-                penalty: scenario.penalty(),
-            },
-            budget_s: None,
-            lead_s: self.lead,
-        };
-        Settings {
-            scenario,
-            arm,
-            observer,
-            planner,
-            lead: self.lead.unwrap_or(if self.scenario == ScenarioName::Tip { lag } else { 0.0 }),
-            duration: self.duration,
-            short: self.short,
+            points: self.points,
+            lead: self.lead,
+            stiffness_ratio: self.stiffness_ratio,
+            damping: self.damping,
+            filter: self.filter,
+            disturbance_time: self.disturbance_time,
+            rate_max: self.rate_max,
             trace: self.trace.clone(),
         }
     }
@@ -205,7 +150,7 @@ fn main() {
             scope.spawn(|| {
                 loop {
                     let Some((kind, case, seed)) = jobs.lock().unwrap().pop() else { return };
-                    let outcome = closed_loop::run(&arguments.settings(kind), case, seed);
+                    let outcome = closed_loop::run(&arguments.choice().settings(), case, seed);
                     if arguments.each {
                         println!("{kind:?} {case:?} seed {seed}: {}", outcome.line());
                     }

@@ -6,6 +6,15 @@ use sinew::config::ShapeConfig;
 use sinew::planner::Goal;
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
+/// Which task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum ScenarioName {
+    /// The paper's tip example.
+    Tip,
+    /// The paper's shape example.
+    Shape,
+}
+
 /// (44), 1/m.
 const SHAPE: [f64; 8] = [0.806, 0.806, -2.417, 0.0, -1.611, -2.417, -1.611, -2.417];
 
@@ -23,8 +32,8 @@ pub struct Start {
 }
 
 impl Scenario {
-    pub fn new(name: super::ScenarioName) -> Self {
-        Self { tip: name == super::ScenarioName::Tip, target: SHAPE.to_vec() }
+    pub fn new(name: ScenarioName) -> Self {
+        Self { tip: name == ScenarioName::Tip, target: SHAPE.to_vec() }
     }
 
     /// The shape example with half of (44) as its target, held.

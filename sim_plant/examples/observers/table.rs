@@ -5,7 +5,7 @@ use crate::{Arguments, Kind};
 
 /// Prints one column per observer; over several seeds the worst of each figure.
 pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
-    let scenario = if arguments.scenario == crate::ScenarioName::Tip { "tip" } else { "shape" };
+    let scenario = if arguments.scenario == crate::scenario::ScenarioName::Tip { "tip" } else { "shape" };
     println!(
         "\n{scenario} example, period {} ms, plant of the study, seeds {} to {}, worst of all seeds",
         1e3 * arguments.period,
@@ -32,7 +32,7 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
         let pair =
             |case: Case| Some(format!("{} / {} mm", mm(case, &|o| o.tip_error[0])?, mm(case, &|o| o.tip_error[1])?));
         let clearance = 1e3 * arguments.clearance;
-        if arguments.scenario == crate::ScenarioName::Tip {
+        if arguments.scenario == crate::scenario::ScenarioName::Tip {
             row("holding the start pose, tip error".into(), mm(Case::Hold, &|o| o.tip_error[2]).map(|x| x + " mm"));
             row("no obstacles, with lead, tip error mean / max".into(), pair(Case::Free));
             row(
@@ -40,9 +40,7 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
                 pair(Case::Obstacles),
             );
         }
-        let least = |f: &dyn Fn(&Outcome) -> f64| mm(Case::Obstacles, &|o| -f(o)).map(|x| x.replace('-', "") + " mm");
         let signed = |x: &Option<f64>| x.map(|x| format!("{:.2} mm", -1e3 * x));
-        let _ = least;
         let points = worst(Case::Obstacles, &|o| -o.distance_points.0);
         let along = worst(Case::Obstacles, &|o| -o.distance_arm.0);
         row("same: smallest true surface distance at the points".into(), signed(&points));
@@ -56,7 +54,7 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
             "same: tension roughness, rms per tick".into(),
             worst(Case::Obstacles, &|o| o.roughness).map(|x| format!("{x:.3} N")),
         );
-        if arguments.scenario == crate::ScenarioName::Shape {
+        if arguments.scenario == crate::scenario::ScenarioName::Shape {
             row(
                 "same: curvature error at the end".into(),
                 worst(Case::Obstacles, &|o| o.curvature_error).map(|x| format!("{x:.4} 1/m")),
