@@ -122,6 +122,8 @@ impl Demo {
         let begin = Instant::now();
         children.start_plant(setup, stop)?;
         children.start_daemon(setup)?;
+        // They wait for the daemon by themselves, and in lockstep its first tick waits for them.
+        children.start_clients(setup)?;
         let mut client = loop {
             match Client::connect(&setup.domain, &setup.config.ipc.arm) {
                 Ok(client) => break client,
@@ -135,7 +137,6 @@ impl Demo {
             std::thread::sleep(LOOK);
         };
         let states = client.states().into_diagnostic()?;
-        children.start_clients(setup)?;
         let ending = self.watch(setup, children, &states, stop, begin)?;
         if ending != Ending::Stopped {
             stop_arm(&mut client, &states, children)?;

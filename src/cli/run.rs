@@ -69,6 +69,7 @@ impl Run {
             seed: self.seed,
             auto: AutoRequests { arm: self.arm_on_start, track: self.track_on_start },
             ticks: self.ticks,
+            around_tick: None,
             start_tensions_n: self.start_tensions,
         };
         let daemon = match Daemon::start(&config, &options) {

@@ -36,6 +36,7 @@ pub(crate) struct Plan {
     pub(crate) auto: AutoRequests,
     /// Ticks after which the ordered stop begins.
     pub(crate) ticks: u64,
+    pub(crate) around_tick: Option<fn(&mut dyn FnMut())>,
     pub(crate) sources: LockstepSources,
     pub(crate) lockstep_timeout: Duration,
     pub(crate) progress: Arc<Progress>,
@@ -55,7 +56,7 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     };
     let report = realtime::enter(&request);
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
-    let ticks = plan.ticks;
+    let (ticks, around) = (plan.ticks, plan.around_tick);
     let parts = Parts {
         cycle: Cycle::new(&plan.settings, observer),
         inputs: plan.inputs,
@@ -78,9 +79,9 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     let Ok(mut writer) = writer.recv() else { return };
     let last = if lockstep {
         let gate = Gate::new(plan.sources, plan.lockstep_timeout, period_ns(&plan.config));
-        run_lockstep(&mut controller, &mut writer, gate, &plan.config, ticks, &plan.progress)
+        run_lockstep(&mut controller, &mut writer, gate, &plan.config, ticks, around, &plan.progress)
     } else {
-        run_realtime(&mut controller, &mut writer, &plan.config, ticks, &plan.progress)
+        run_realtime(&mut controller, &mut writer, &plan.config, ticks, around, &plan.progress)
     };
     plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
 }
@@ -119,6 +120,7 @@ fn run_realtime(
     writer: &mut CycleWriter,
     config: &Config,
     ticks: u64,
+    around: Option<fn(&mut dyn FnMut())>,
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
@@ -150,7 +152,10 @@ fn run_realtime(
             plan_until_ns: Some(budget.plan_until_ns(scheduled_ns, woke_ns)),
             missed,
         };
-        last = Some(controller.tick(&time, stop, writer));
+        match around {
+            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
+            None => last = Some(controller.tick(&time, stop, writer)),
+        }
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }
@@ -163,6 +168,7 @@ fn run_lockstep(
     mut gate: Gate,
     config: &Config,
     ticks: u64,
+    around: Option<fn(&mut dyn FnMut())>,
     progress: &Progress,
 ) -> Option<Ticked> {
     let period_ns = period_ns(config);
@@ -186,7 +192,10 @@ fn run_lockstep(
             plan_until_ns: None,
             missed: 0,
         };
-        last = Some(controller.tick(&time, stop, writer));
+        match around {
+            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
+            None => last = Some(controller.tick(&time, stop, writer)),
+        }
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }
