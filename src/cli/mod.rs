@@ -119,3 +119,10 @@ pub(crate) fn positive_seconds(text: &str) -> Result<f64, String> {
         _ => Err("expected a time above 0 s".to_owned()),
     }
 }
+
+/// Writes to standard output; a reader that has gone (`| head`) is no error.
+pub(crate) fn print_text(text: &str) {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}

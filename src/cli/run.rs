@@ -41,6 +41,9 @@ pub(crate) struct Run {
     /// Track as soon as the arm holds and there is a target, once.
     #[arg(long)]
     track_on_start: bool,
+    /// Stop in order when so many ticks are done.
+    #[arg(long, value_name = "N")]
+    ticks: Option<u64>,
     /// Tensions (N), one per cable, to which arming brings the cables; default: the arm's least ones.
     #[arg(long, value_name = "N", num_args = 1.., value_delimiter = ',')]
     start_tensions: Option<Vec<f64>>,
@@ -65,6 +68,8 @@ impl Run {
             record: self.record,
             seed: self.seed,
             auto: AutoRequests { arm: self.arm_on_start, track: self.track_on_start },
+            ticks: self.ticks,
+            around_tick: None,
             start_tensions_n: self.start_tensions,
         };
         let daemon = match Daemon::start(&config, &options) {

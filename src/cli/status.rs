@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::client::Which;
 use clap::Args;
-use comfy_table::Table;
+use comfy_table::{Table, presets};
 use miette::IntoDiagnostic;
 use sinew::daemon::domain_name;
 use sinew::daemon::status::{SourceStatus, StatusReport, ask};
@@ -26,37 +26,45 @@ impl Status {
             return Ok(Outcome::Failed);
         };
         if self.json {
-            println!("{}", serde_json::to_string(&report).into_diagnostic()?);
+            super::print_text(&format!("{}\n", serde_json::to_string(&report).into_diagnostic()?));
         } else {
-            print(&report);
+            super::print_text(&text(&report));
         }
         Ok(if report.fault.is_some() { Outcome::Failed } else { Outcome::Done })
     }
 }
 
-fn print(r: &StatusReport) {
-    println!("arm {}: {}", r.arm, r.mode);
+/// Stages in the order in which they happen.
+const STAGES: [&str; 7] = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle"];
+
+fn text(r: &StatusReport) -> String {
+    let mut out = String::new();
+    let mut line = |text: String| {
+        out.push_str(&text);
+        out.push('\n');
+    };
+    line(format!("arm {}: {}", r.arm, r.mode));
     if let Some(fault) = &r.fault {
-        println!("fault {}: {}", fault.code, fault.what);
-        println!("  what clears it: {}", fault.clears);
+        line(format!("fault {}: {}", fault.code, fault.what));
+        line(format!("  what clears it: {}", fault.clears));
     }
     let clock = if r.lockstep { "lockstep" } else { "real time" };
-    println!(
+    line(format!(
         "loop: {} ticks of {} ms ({clock}), {} missed, {} records dropped",
         r.ticks,
         1e3 * r.period_s,
         r.missed,
         r.records_dropped
-    );
+    ));
     if let Some(dropped) = r.recording_dropped {
-        println!("recording: {dropped} messages dropped");
+        line(format!("recording: {dropped} messages dropped"));
     }
-    r.realtime_refused.iter().for_each(|refused| println!("degraded: {refused}"));
+    r.realtime_refused.iter().for_each(|refused| line(format!("degraded: {refused}")));
     let d = &r.drives;
-    println!("drives: {} of {} ready, {} enabled", d.ready, d.count, d.enabled);
-    d.fault.iter().for_each(|fault| println!("  {fault}"));
+    line(format!("drives: {} of {} ready, {} enabled", d.ready, d.count, d.enabled));
+    d.fault.iter().for_each(|fault| line(format!("  {fault}")));
 
-    let mut buses = Table::new();
+    let mut buses = table();
     buses.set_header(["bus", "state", "load computed", "measured", "limit", "frames", "lost"]);
     for b in &r.buses {
         buses.add_row([
@@ -69,23 +77,23 @@ fn print(r: &StatusReport) {
             b.lost.to_string(),
         ]);
     }
-    println!("{buses}");
+    line(buses.to_string());
 
-    let mut sources = Table::new();
+    let mut sources = table();
     sources.set_header(["source", "id", "health", "age (ms)", "accepted", "rejected"]);
     let rows = [("encoders", &r.encoders), ("target", &r.target)];
     for (name, source) in rows.into_iter().chain(r.obstacles.iter().map(|source| ("obstacles", source))) {
         sources.add_row(row(name, source));
     }
-    println!("{sources}");
+    line(sources.to_string());
     if r.obstacle_sources_refused > 0 {
-        println!("{} obstacle sets of further sources refused: all places are taken", r.obstacle_sources_refused);
+        line(format!("{} obstacle sets of further sources refused: all places are taken", r.obstacle_sources_refused));
     }
 
-    let mut times = Table::new();
+    let mut times = table();
     times.set_header(["branch", "stage", "p50 (us)", "p99", "p99.9", "max", "ticks"]);
     for (branch, stages) in &r.time_us {
-        for (stage, p) in stages {
+        for (stage, p) in STAGES.iter().filter_map(|stage| stages.get_key_value(*stage)) {
             let us = |v: f64| format!("{v:.1}");
             times.add_row([
                 branch.clone(),
@@ -98,7 +106,8 @@ fn print(r: &StatusReport) {
             ]);
         }
     }
-    println!("{times}");
+    line(times.to_string());
+    out
 }
 
 fn row(name: &str, s: &SourceStatus) -> [String; 6] {
@@ -111,4 +120,10 @@ fn row(name: &str, s: &SourceStatus) -> [String; 6] {
         s.accepted.to_string(),
         if rejected.is_empty() { "-".to_owned() } else { rejected.join(", ") },
     ]
+}
+
+fn table() -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::UTF8_FULL_CONDENSED);
+    table
 }

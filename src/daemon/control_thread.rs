@@ -34,6 +34,9 @@ pub(crate) struct Plan {
     pub(crate) time: super::link::LoopTime,
     pub(crate) seed: u64,
     pub(crate) auto: AutoRequests,
+    /// Ticks after which the ordered stop begins.
+    pub(crate) ticks: u64,
+    pub(crate) around_tick: Option<fn(&mut dyn FnMut())>,
     pub(crate) sources: LockstepSources,
     pub(crate) lockstep_timeout: Duration,
     pub(crate) progress: Arc<Progress>,
@@ -53,6 +56,7 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     };
     let report = realtime::enter(&request);
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
+    let (ticks, around) = (plan.ticks, plan.around_tick);
     let parts = Parts {
         cycle: Cycle::new(&plan.settings, observer),
         inputs: plan.inputs,
@@ -75,9 +79,9 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     let Ok(mut writer) = writer.recv() else { return };
     let last = if lockstep {
         let gate = Gate::new(plan.sources, plan.lockstep_timeout, period_ns(&plan.config));
-        run_lockstep(&mut controller, &mut writer, gate, &plan.config, &plan.progress)
+        run_lockstep(&mut controller, &mut writer, gate, &plan.config, ticks, around, &plan.progress)
     } else {
-        run_realtime(&mut controller, &mut writer, &plan.config, &plan.progress)
+        run_realtime(&mut controller, &mut writer, &plan.config, ticks, around, &plan.progress)
     };
     plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
 }
@@ -115,6 +119,8 @@ fn run_realtime(
     controller: &mut Controller<Observer>,
     writer: &mut CycleWriter,
     config: &Config,
+    ticks: u64,
+    around: Option<fn(&mut dyn FnMut())>,
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
@@ -122,7 +128,7 @@ fn run_realtime(
     let mut stopping = Stopping::new(config);
     let (mut tick, mut missed, mut last) = (0_u64, 0_u64, None);
     loop {
-        let stop = progress.stop.load(Ordering::Acquire);
+        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }
@@ -146,7 +152,10 @@ fn run_realtime(
             plan_until_ns: Some(budget.plan_until_ns(scheduled_ns, woke_ns)),
             missed,
         };
-        last = Some(controller.tick(&time, stop, writer));
+        match around {
+            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
+            None => last = Some(controller.tick(&time, stop, writer)),
+        }
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }
@@ -158,6 +167,8 @@ fn run_lockstep(
     writer: &mut CycleWriter,
     mut gate: Gate,
     config: &Config,
+    ticks: u64,
+    around: Option<fn(&mut dyn FnMut())>,
     progress: &Progress,
 ) -> Option<Ticked> {
     let period_ns = period_ns(config);
@@ -167,7 +178,7 @@ fn run_lockstep(
         let began_ns = monotonic_ns();
         gate.wait(controller.inputs_mut(), tick, progress);
         // Looked at behind the gate: the tick that is decided on is the one that runs.
-        let stop = progress.stop.load(Ordering::Acquire);
+        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }
@@ -181,7 +192,10 @@ fn run_lockstep(
             plan_until_ns: None,
             missed: 0,
         };
-        last = Some(controller.tick(&time, stop, writer));
+        match around {
+            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
+            None => last = Some(controller.tick(&time, stop, writer)),
+        }
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }

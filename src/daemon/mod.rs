@@ -37,9 +37,6 @@ mod taps;
 mod tick;
 mod warm_up;
 
-#[cfg(test)]
-mod tests;
-
 pub use bus_thread::{ENCODER_SOURCE_ID, cause_text};
 pub use error::DaemonError;
 pub use records::{fault_of_code, refusal_text};
@@ -90,6 +87,10 @@ pub struct Options {
     pub seed: u64,
     /// What the loop asks for by itself.
     pub auto: AutoRequests,
+    /// Stop in order when so many ticks are done.
+    pub ticks: Option<u64>,
+    /// Wraps every tick on the control thread: for tests that watch over it, e.g. that it allocates nothing.
+    pub around_tick: Option<fn(&mut dyn FnMut())>,
     /// Tensions (N), one per cable, to which arming brings the cables; the arm's least ones unless given.
     pub start_tensions_n: Option<Vec<f64>>,
 }
@@ -189,7 +190,7 @@ impl Daemon {
         };
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
         let taps = Taps { pairs, shared: shared.clone(), recorder };
-        let io = IoThread::new(ports, ends, limits(config), taps);
+        let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.io = Some(spawn("sinew-io", below(2), {
             let (progress, time) = (progress.clone(), time.clone());
@@ -217,6 +218,8 @@ impl Daemon {
             time,
             seed: options.seed,
             auto: options.auto,
+            ticks: options.ticks.unwrap_or(u64::MAX),
+            around_tick: options.around_tick,
             sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
             lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
             progress: progress.clone(),

@@ -19,17 +19,26 @@ use sinew_hal::clock::monotonic_ns;
 use sinew_hal::motor_bank::MotorBank;
 
 /// Thresholds of all inputs as the configuration has them. Targets age like obstacles: both are clients' promises.
-pub fn limits(config: &Config) -> IoLimits {
+///
+/// In lockstep an input for the next tick may be looked at by a thread that read the clock just before that tick's time
+/// began, so a tick ahead is not the future there.
+pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
     let policy = &config.obstacles;
+    let ahead_s = if lockstep { 1.5 * config.timing.period_s } else { 0.0 };
     let obstacles = InputLimits {
         stale_after_s: policy.stale_after_s,
         hold_after_s: policy.hold_after_s,
         growth_mps: policy.growth_mps,
         sigma_multiple: policy.sigma_multiple,
-        future_tolerance_s: policy.future_tolerance_s,
+        future_tolerance_s: policy.future_tolerance_s + ahead_s,
     };
     let silent_s = config.guard.encoder_silent_s;
-    let encoders = InputLimits { stale_after_s: silent_s, hold_after_s: silent_s.max(1.0), ..InputLimits::default() };
+    let encoders = InputLimits {
+        stale_after_s: silent_s,
+        hold_after_s: silent_s.max(1.0),
+        future_tolerance_s: InputLimits::default().future_tolerance_s + ahead_s,
+        ..InputLimits::default()
+    };
     IoLimits { obstacles, target: InputLimits { growth_mps: 0.0, ..obstacles }, encoders }
 }
 
@@ -123,6 +132,7 @@ impl<E: Estimator> Controller<E> {
     pub(crate) fn new(config: &Config, parts: Parts<E>) -> Self {
         let Parts { cycle, inputs, outputs, obstacles, drives, bank, time, rng, auto } = parts;
         let cables = config.arm.cable_count();
+        let time_is_lockstep = time.is_lockstep();
         Self {
             cycle,
             inputs,
@@ -133,7 +143,7 @@ impl<E: Estimator> Controller<E> {
             time,
             rng,
             auto,
-            limits: limits(config),
+            limits: limits(config, time_is_lockstep),
             require_source: config.obstacles.require_source,
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
