@@ -41,14 +41,6 @@ enum Branch {
     Complementarity,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Observer {
-    /// Passive correction in cable space.
-    Passive,
-    /// Reduced Kalman filter.
-    Kalman,
-}
-
 /// Arguments of `sinew demo`.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
@@ -66,9 +58,6 @@ pub(crate) struct Demo {
     /// Seconds of the scenario to run; default: all.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
-    /// What estimates the arm's state; default: the configuration's.
-    #[arg(long)]
-    observer: Option<Observer>,
     /// What plans near obstacles; default: the configuration's.
     #[arg(long)]
     warning: Option<Branch>,
