@@ -38,9 +38,6 @@ pub enum DaemonError {
     /// All node ids belong to drives.
     #[error("[drives]: no node id is left for the master; the drives of a bus may have at most 126")]
     NoNodeLeft,
-    /// The Kalman observer is asked for.
-    #[error("observer.kind = \"kalman\" is not available in this version; use \"passive\"")]
-    Observer,
     /// Another number of start tensions than cables, or one outside the box.
     #[error("start tensions: {why}")]
     StartTensions {

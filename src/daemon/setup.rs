@@ -1,7 +1,7 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusKind, Config, DriveConfig, ObserverKind};
+use crate::config::{BusKind, Config, DriveConfig};
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
@@ -29,9 +29,6 @@ pub struct BusLoad {
 /// # Errors
 /// A bus above its load limit, a drive that cannot pull its cable, settings that the drives' protocol does not have.
 pub fn check(config: &Config) -> Result<Vec<BusLoad>, DaemonError> {
-    if config.observer.kind == ObserverKind::Kalman {
-        return Err(DaemonError::Observer);
-    }
     motor_bank(config)?;
     let master = master_config(config)?;
     master.check(config.drives.buses.len())?;
