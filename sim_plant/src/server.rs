@@ -34,8 +34,9 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Real time without a SYNC after which the clock of a plant in lockstep follows the computer's.
-pub const SILENCE: Duration = Duration::from_secs(2);
+/// Real time without a SYNC after which the clock of a plant in lockstep follows the computer's. Longer than a controller
+/// waits for a client that has died (5 s), or that loss would look like the controller's own.
+pub const SILENCE: Duration = Duration::from_secs(10);
 /// Physics further behind than this gives the difference up.
 pub const BEHIND_MAX: Duration = Duration::from_millis(250);
 /// Longest wait on a bus: how soon a request to stop is seen.

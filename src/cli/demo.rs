@@ -41,14 +41,6 @@ enum Branch {
     Complementarity,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Observer {
-    /// Passive correction in cable space.
-    Passive,
-    /// Reduced Kalman filter.
-    Kalman,
-}
-
 /// Arguments of `sinew demo`.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
@@ -66,9 +58,6 @@ pub(crate) struct Demo {
     /// Seconds of the scenario to run; default: all.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
-    /// What estimates the arm's state; default: the configuration's.
-    #[arg(long)]
-    observer: Option<Observer>,
     /// What plans near obstacles; default: the configuration's.
     #[arg(long)]
     warning: Option<Branch>,
@@ -133,6 +122,8 @@ impl Demo {
         let begin = Instant::now();
         children.start_plant(setup, stop)?;
         children.start_daemon(setup)?;
+        // They wait for the daemon by themselves, and in lockstep its first tick waits for them.
+        children.start_clients(setup)?;
         let mut client = loop {
             match Client::connect(&setup.domain, &setup.config.ipc.arm) {
                 Ok(client) => break client,
@@ -146,7 +137,6 @@ impl Demo {
             std::thread::sleep(LOOK);
         };
         let states = client.states().into_diagnostic()?;
-        children.start_clients(setup)?;
         let ending = self.watch(setup, children, &states, stop, begin)?;
         if ending != Ending::Stopped {
             stop_arm(&mut client, &states, children)?;

@@ -49,22 +49,19 @@ impl DaemonPorts {
     /// [`IpcError::AlreadyRunning`] if a living process serves the arm, otherwise what iceoryx2 reports.
     pub fn create(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
         let session = Session::open(domain, "sinew daemon")?;
-        let requests = service::create_requests(&session, arm)?.server_builder().create().map_err(|e| match e {
-            ServerCreateError::ExceedsMaxSupportedServers => IpcError::AlreadyRunning { arm: arm.to_owned() },
-            e => port_error(e, arm, "request", "server"),
-        })?;
         let state = service::create::<State>(&session, arm)?.publisher_builder().create().map_err(|e| match e {
             PublisherCreateError::ExceedsMaxSupportedPublishers => IpcError::AlreadyRunning { arm: arm.to_owned() },
             e => port_error(e, arm, State::SERVICE, "publisher"),
         })?;
-        Ok(Self {
-            encoders: subscribe(&service::create(&session, arm)?, arm)?,
-            obstacles: subscribe(&service::create(&session, arm)?, arm)?,
-            target: subscribe(&service::create(&session, arm)?, arm)?,
-            state,
-            requests,
-            _session: session,
-        })
+        let encoders = subscribe(&service::create(&session, arm)?, arm)?;
+        let obstacles = subscribe(&service::create(&session, arm)?, arm)?;
+        let target = subscribe(&service::create(&session, arm)?, arm)?;
+        // Last: by this service clients tell that a daemon is there, and then the others must be.
+        let requests = service::create_requests(&session, arm)?.server_builder().create().map_err(|e| match e {
+            ServerCreateError::ExceedsMaxSupportedServers => IpcError::AlreadyRunning { arm: arm.to_owned() },
+            e => port_error(e, arm, "request", "server"),
+        })?;
+        Ok(Self { encoders, obstacles, target, state, requests, _session: session })
     }
 
     /// Every encoder message that waits. Returns their number.

@@ -40,7 +40,7 @@ impl DataType {
     }
 
     /// Length (bytes); `None` for a string.
-    pub const fn len(self) -> Option<usize> {
+    pub const fn size(self) -> Option<usize> {
         match self {
             Self::I8 | Self::U8 => Some(1),
             Self::I16 | Self::U16 => Some(2),
@@ -65,13 +65,13 @@ impl DataType {
     /// Little-endian bytes of an integer, or `None` if it is not of this type.
     pub fn encode(self, value: i64) -> Option<Vec<u8>> {
         let (low, high) = self.range();
-        let len = self.len()?;
+        let len = self.size()?;
         (low..=high).contains(&value).then(|| value.to_le_bytes()[..len].to_vec())
     }
 
     /// Integer from exactly as many little-endian bytes as the type has.
     pub fn decode(self, data: &[u8]) -> Option<i64> {
-        if self.len() != Some(data.len()) {
+        if self.size() != Some(data.len()) {
             return None;
         }
         let negative = self.range().0 < 0 && data.last().is_some_and(|b| b & 0x80 != 0);
@@ -263,7 +263,7 @@ impl ObjectDictionary {
         let e = self.entry(index, sub)?;
         Ok(match &e.live {
             Value::Int(v) | Value::NodeIdPlus(v) => {
-                v.to_le_bytes()[..e.description.data_type.len().unwrap_or(0)].to_vec()
+                v.to_le_bytes()[..e.description.data_type.size().unwrap_or(0)].to_vec()
             }
             Value::Text(t) => t.clone().into_bytes(),
         })
@@ -284,7 +284,7 @@ impl ObjectDictionary {
     pub fn check_int(&self, index: u16, sub: u8, data: &[u8]) -> Result<i64, AbortCode> {
         self.check_write(index, sub)?;
         let d = &self.entry(index, sub)?.description;
-        let len = d.data_type.len().unwrap_or(0);
+        let len = d.data_type.size().unwrap_or(0);
         let value = d.data_type.decode(data).ok_or(match data.len().cmp(&len) {
             std::cmp::Ordering::Greater => AbortCode::TOO_LONG,
             std::cmp::Ordering::Less => AbortCode::TOO_SHORT,

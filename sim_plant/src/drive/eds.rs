@@ -147,7 +147,7 @@ mod tests {
             assert_eq!(section["accesstype"], d.access.word(), "{name}");
             assert_eq!(section["pdomapping"] == "1", d.mappable, "{name}");
             let value = live.read(index, sub).unwrap();
-            match d.data_type.len() {
+            match d.data_type.size() {
                 Some(_) => {
                     assert_eq!(
                         d.data_type.decode(&value),

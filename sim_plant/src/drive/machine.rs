@@ -65,7 +65,7 @@ impl ObjectAccess for Objects<'_> {
     }
 
     fn write(&mut self, index: u16, sub: u8, data: &[u8]) -> Result<(), AbortCode> {
-        if self.dictionary.description(index, sub).is_some_and(|d| d.data_type.len().is_some()) {
+        if self.dictionary.description(index, sub).is_some_and(|d| d.data_type.size().is_some()) {
             let value = self.dictionary.check_int(index, sub, data)?;
             pdo::check(self.dictionary, index, sub, value)?;
             match index {

@@ -1,6 +1,6 @@
 //! What a demo is made of: one configuration file for all, names of its own for bus and shared memory, the programs.
 
-use super::{Branch, Demo, Observer, is_tip};
+use super::{Branch, Demo, is_tip};
 use miette::{IntoDiagnostic, WrapErr, miette};
 use sinew::config::{BUILTIN_FILES, Config, ScenarioConfig};
 use sinew::ipc::Domain;
@@ -257,17 +257,9 @@ fn adapt(tables: &mut Table, demo: &Demo, scenario: &ScenarioConfig) {
             }
         }
     }
-    let observer = table(tables, "observer");
-    if let Some(kind) = demo.observer {
-        let name = match kind {
-            Observer::Passive => "passive",
-            Observer::Kalman => "kalman",
-        };
-        observer.insert("kind".into(), name.into());
-    }
     if !demo.fast {
         // Encoders are read at the SYNC that carries the tensions: a tick old when the next one computes.
-        observer.entry("latency_ticks").or_insert(Value::Integer(1));
+        table(tables, "observer").entry("latency_ticks").or_insert(Value::Integer(1));
     }
 }
 
