@@ -1,0 +1,289 @@
+//! Claims about the daemon as a process: request transitions, bad inputs, faults, kills, lockstep.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "daemon_support/mod.rs"]
+mod support;
+
+use sinew::ipc::monotonic_ns;
+use sinew::ipc::payload::{Obstacle, Obstacles, RequestKind, State, SupervisorState};
+use sinew_hal::can::{CanBus, Id};
+use sinew_hal::virtual_bus::VirtualBus;
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+use support::*;
+
+#[test]
+fn requests_move_the_arm_through_its_modes_and_an_ordered_stop_leaves_nothing() {
+    let place = Place::shipped();
+    let plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&[]);
+    place.until("a first tick", |s| s.ticks > 0);
+    let (code, said) = place.operate(&["track"]);
+    assert_eq!(code, Some(1));
+    assert!(said.contains("`sinew arm` first"), "{said}");
+    place.arm();
+    let (code, said) = place.operate(&["track"]);
+    assert_eq!(code, Some(1), "no target: {said}");
+    let (code, said) = place.operate(&["target", "--pose", "0.05,0,-2.73,0.7071,0,0.7071,0"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = place.operate(&["track"]);
+    assert_eq!(code, Some(1));
+    assert!(said.contains("perception client"), "no publisher is not an empty set: {said}");
+
+    let mut injecting = place.sinew(&["obstacles", "inject", "--ball", "0.5,0.5,-1,0.1"]).spawn().unwrap();
+    place.until("a source", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
+    assert_eq!(place.operate(&["track"]).0, Some(0));
+    place.until("tracking", |s| s.mode == "tracking");
+    let (_, listed) = place.operate(&["obstacles", "list", "--json"]);
+    assert!(listed.contains("surface_distance_m"), "{listed}");
+    assert_eq!(place.operate(&["home"]).0, Some(0));
+    place.until("home", |s| s.mode == "holding");
+    assert_eq!(place.operate(&["clear"]).0, Some(1), "nothing is latched");
+
+    // Killed, the client is missed: the arm holds, and may not track again.
+    assert_eq!(place.operate(&["track"]).0, Some(0));
+    injecting.kill().unwrap();
+    injecting.wait().unwrap();
+    place.until("the declared action", |s| s.mode == "holding" && s.obstacles.iter().any(|o| o.health == "expired"));
+    assert_eq!(place.operate(&["track"]).0, Some(1));
+
+    assert_eq!(place.operate(&["stop"]).0, Some(0));
+    place.until("disarmed", |s| s.mode == "disarmed" && s.drives.enabled == 0);
+    assert_eq!(place.operate(&["disarm"]).0, Some(0), "already so");
+    let (status, said) = daemon.terminate();
+    assert_eq!(status.code(), Some(0), "{said}");
+    assert!(place.status().is_none());
+    drop(plant);
+    place.assert_clean();
+}
+
+#[test]
+fn a_signal_while_tracking_ramps_down_and_disables_before_the_end() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    place.until("holding", |s| s.mode == "holding");
+    let mut bus = VirtualBus::open(&place.bus, false).unwrap();
+    let (status, said) = daemon.terminate();
+    assert_eq!(status.code(), Some(0), "{said}");
+    // The last statusword of every drive is "switch on disabled".
+    let mut last = [0xffff_u16; 24];
+    while let Ok(Some(received)) = bus.receive(Duration::ZERO) {
+        if let (Id::Standard(id @ 0x181..=0x198), [low, high, ..]) = (received.frame.id(), received.frame.data()) {
+            last[usize::from(id - 0x181)] = u16::from_le_bytes([*low, *high]);
+        }
+    }
+    assert!(last.iter().all(|word| word & 0x4f == 0x40), "{last:04x?}");
+}
+
+#[test]
+fn a_second_daemon_for_the_same_arm_is_refused_and_the_first_goes_on() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&[]);
+    place.until("a first tick", |s| s.ticks > 0);
+    let (code, said) = place.operate(&["run"]);
+    assert_eq!(code, Some(2));
+    assert!(said.contains("already running"), "{said}");
+    let ticks = place.status().unwrap().ticks;
+    place.until("more ticks", |s| s.ticks > ticks);
+    assert_eq!(daemon.terminate().0.code(), Some(0));
+}
+
+#[test]
+fn bad_obstacles_are_rejected_counted_and_named_in_the_status() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    let client = place.client();
+    let mut publisher = client.obstacles(77).unwrap();
+    let ball = Obstacle::ball(1, [0.5, 0.0, -1.0], 0.1);
+    let mut good = Obstacles::default();
+    assert!(good.push(ball));
+    let mut nan = good;
+    nan.obstacles[0].position_m[1] = f64::NAN;
+    let mut overfull = good;
+    overfull.count = 65;
+    let rejected = |cause: &'static str| {
+        move |s: &sinew::daemon::status::StatusReport| s.obstacles.iter().any(|o| o.rejected.contains_key(cause))
+    };
+    publisher.publish(&mut good, monotonic_ns()).unwrap();
+    place.until("accepted", |s| s.obstacles.iter().any(|o| o.id == 77 && o.accepted == 1));
+    publisher.publish(&mut nan, monotonic_ns()).unwrap();
+    place.until("NaN", rejected("NaN or infinite number"));
+    publisher.publish(&mut good.clone(), monotonic_ns() + 1_000_000_000).unwrap();
+    place.until("future", rejected("capture time lies in the future"));
+    publisher.publish(&mut overfull, monotonic_ns()).unwrap();
+    let report = place.until("overfull", rejected("more entries than the capacity"));
+    assert_eq!(report.obstacles[0].rejected.values().sum::<u64>(), 3, "each once: {report:#?}");
+    let (_, said) = place.operate(&["status"]);
+    assert!(said.contains("1 x more entries than the capacity"), "{said}");
+}
+
+/// Runs into a fault of the plant; the latched code, and whether the tensions had come down to the safe value.
+fn run_into(fault: &str) -> (Place, Plant, Daemon, u32) {
+    let place = Place::shipped();
+    let plant = Plant::start(&place, false, &[fault]);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    place.until("holding", |s| s.mode == "holding");
+    // Something must move for an encoder to stick.
+    let mut inject = place.sinew(&["obstacles", "inject", "--for", "30"]).spawn().unwrap();
+    place.until("a source", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
+    assert_eq!(place.operate(&["target", "--pose", "0.3,0.1,-2.6,0.7071,0,0.7071,0"]).0, Some(0));
+    let _ = place.operate(&["track"]);
+    let report = place.until("a fault", |s| s.fault.is_some());
+    inject.kill().unwrap();
+    inject.wait().unwrap();
+    place.until("drives off", |s| s.drives.enabled == 0);
+    let state = place.client().states().unwrap().wait(WAIT).unwrap().unwrap();
+    assert!(state.tension_command_n[..24].iter().all(|t| *t == 0.0), "{:?}", &state.tension_command_n[..24]);
+    assert_eq!(state.supervisor, SupervisorState::Faulted.wire());
+    assert!(!place.request(RequestKind::Arm).is_accepted(), "a latched fault must be cleared first");
+    let fault = report.fault.unwrap();
+    assert!(!fault.clears.is_empty());
+    (place, plant, daemon, fault.code)
+}
+
+#[test]
+fn an_encoder_that_jumps_is_a_latched_fault_with_its_cause() {
+    let (_place, _plant, _daemon, code) = run_into("jump:5:0.03@4");
+    assert_eq!(code, 21);
+}
+
+#[test]
+fn an_encoder_that_falls_silent_is_a_latched_fault_with_its_cause() {
+    let (_place, _plant, _daemon, code) = run_into("silence:5@4");
+    assert_eq!(code, 20);
+}
+
+#[test]
+fn an_encoder_that_sticks_is_a_latched_fault_with_its_cause() {
+    let (_place, _plant, _daemon, code) = run_into("stick:5@2");
+    assert!([22, 30, 31].contains(&code), "stuck, or noticed by the innovation: {code}");
+}
+
+#[test]
+fn a_drive_that_trips_is_a_latched_fault_and_clear_makes_the_arm_work_again() {
+    let (place, _plant, daemon, code) = run_into("trip:3@4");
+    assert_eq!(code, 10);
+    let deadline = Instant::now() + WAIT;
+    while !place.request(RequestKind::Clear).is_accepted() {
+        assert!(Instant::now() < deadline, "{:#?}", place.status());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    place.arm();
+    assert_eq!(daemon.terminate().0.code(), Some(0));
+}
+
+#[test]
+fn a_killed_daemon_leaves_drives_that_go_safe_and_a_new_one_works() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    place.until("holding", |s| s.mode == "holding");
+    let mut bus = VirtualBus::open(&place.bus, false).unwrap();
+    daemon.kill();
+    // Every drive says that its master, or the SYNC, is gone.
+    let (mut spoke, deadline) = (BTreeSet::new(), Instant::now() + WAIT);
+    while spoke.len() < 24 {
+        assert!(Instant::now() < deadline, "only {spoke:?} went safe");
+        if let Ok(Some(received)) = bus.receive(Duration::from_millis(50))
+            && let Id::Standard(id @ 0x81..=0x98) = received.frame.id()
+            && received.frame.data()[..2] != [0, 0]
+        {
+            spoke.insert(id);
+        }
+    }
+    let second = place.daemon(&[]);
+    place.arm();
+    assert_eq!(second.terminate().0.code(), Some(0));
+}
+
+#[test]
+fn a_plant_that_is_gone_is_a_lost_bus_and_clear_works_when_it_is_back() {
+    let place = Place::shipped();
+    let plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    place.until("holding", |s| s.mode == "holding");
+    drop(plant);
+    let report = place.until("a fault", |s| s.fault.is_some());
+    let code = report.fault.unwrap().code;
+    assert!([10, 11, 13, 20].contains(&code), "drives, bus or encoders: {code}");
+    place.until("drives given up", |s| s.drives.fault.is_some());
+    std::thread::sleep(Duration::from_millis(700));
+    assert!(!place.request(RequestKind::Clear).is_accepted(), "the cause persists");
+    let _plant = Plant::start(&place, false, &[]);
+    let deadline = Instant::now() + WAIT;
+    while !place.request(RequestKind::Clear).is_accepted() {
+        assert!(Instant::now() < deadline, "{:#?}", place.status());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    place.arm();
+    assert_eq!(daemon.terminate().0.code(), Some(0));
+}
+
+/// Tensions of a run in lockstep, as bits, tick by tick.
+fn lockstep_run(seed: &str, ticks: u64) -> Vec<Vec<u64>> {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, true, &[]);
+    let mut daemon = place.daemon(&[
+        "--lockstep",
+        "--seed",
+        seed,
+        "--arm-on-start",
+        "--track-on-start",
+        "--await-obstacles",
+        "11",
+        "--await-target",
+        "--ticks",
+        &ticks.to_string(),
+    ]);
+    let mut client = TickClient::new(&place);
+    let (mut tensions, mut tracked) = (Vec::new(), false);
+    client.run(
+        |state| state.header.tick + 1 == ticks,
+        |state: &State| {
+            assert_eq!(state.header.tick, tensions.len() as u64, "no tick is left out");
+            assert_eq!(state.fault_code, 0, "at tick {}", state.header.tick);
+            tracked |= state.supervisor == SupervisorState::Tracking.wire();
+            tensions.push(state.tension_command_n[..24].iter().map(|t| t.to_bits()).collect());
+        },
+    );
+    assert!(tracked);
+    drop(client);
+    let (status, said) = daemon.finish();
+    assert_eq!(status.code(), Some(0), "{said}");
+    tensions
+}
+
+#[test]
+fn a_run_in_lockstep_gives_the_same_tensions_bit_for_bit() {
+    let (first, second) = (lockstep_run("3", 400), lockstep_run("3", 400));
+    let differing = first.iter().zip(&second).position(|(a, b)| a != b);
+    assert_eq!(differing, None, "first tick that differs");
+    assert!(first.last().unwrap().iter().any(|t| *t != 0), "tensions were sent at all");
+}
+
+#[test]
+fn a_bus_above_its_load_limit_is_refused_before_anything_is_opened() {
+    let place = Place::new(|_, text| text.replace("period_s = 0.01\n", "period_s = 0.005\n"));
+    for command in ["check", "run"] {
+        let (code, said) = place.operate(&[command]);
+        assert_eq!(code, Some(2), "{said}");
+        assert!(said.contains("load_limit") && said.contains("period_s"), "{said}");
+    }
+    assert!(!sinew_hal::virtual_bus::path_of(&place.bus).unwrap().exists());
+}
+
+#[test]
+fn commands_without_a_daemon_say_so() {
+    let place = Place::shipped();
+    for arguments in [&["status"][..], &["arm"], &["obstacles", "list"]] {
+        let (code, said) = place.operate(arguments);
+        assert_eq!(code, Some(1));
+        assert!(said.contains("no daemon running"), "{said}");
+    }
+    let (code, said) = place.operate(&["target", "--pose", "1,2,3"]);
+    assert_eq!(code, Some(2));
+    assert!(said.contains("expected 7"), "{said}");
+}

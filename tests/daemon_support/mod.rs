@@ -1,0 +1,278 @@
+//! A daemon, a plant and their clients, isolated by the names of bus and shared memory; nothing is left behind.
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used)] // each test binary uses its own part
+
+use sim_plant::config::PlantConfig;
+use sim_plant::fault::{FaultSpec, Schedule};
+use sim_plant::rig::{Rig, Start};
+use sim_plant::server::Server;
+use sinew::config::{BUILTIN_FILES, Config};
+use sinew::daemon::status::{StatusReport, ask};
+use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, Target};
+use sinew::ipc::{Client, Domain, SourcePublisher};
+use sinew_hal::virtual_bus::remove_stale;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Longest that anything may take on a busy machine.
+pub const WAIT: Duration = Duration::from_secs(60);
+
+/// Files, names and processes of one test.
+pub struct Place {
+    pub folder: tempfile::TempDir,
+    pub bus: String,
+    prefix: String,
+    pub files: Vec<PathBuf>,
+    pub domain: Domain,
+}
+
+impl Place {
+    /// With the shipped configuration; `change` edits its texts, file by file.
+    pub fn new(change: impl Fn(&str, String) -> String) -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let (bus, prefix) = (format!("dt-{name}"), format!("sinewdt{name}_"));
+        let folder = tempfile::tempdir().unwrap();
+        let root = format!("{}/ipc/", folder.path().display());
+        let mut files = Vec::new();
+        for (file, text) in BUILTIN_FILES
+            .iter()
+            .filter(|(f, _)| ["arm.toml", "controller.toml", "drives.toml", "plant.toml"].contains(f))
+        {
+            let mut text = text.replace("\"sinew0\"", &format!("\"{bus}\""));
+            if *file == "plant.toml" {
+                text = text.replace("mesh_refinement = 2", "mesh_refinement = 1");
+            }
+            let path = folder.path().join(file);
+            std::fs::write(&path, change(file, text)).unwrap();
+            files.push(path);
+        }
+        let ipc = folder.path().join("ipc.toml");
+        std::fs::write(&ipc, format!("[ipc]\nprefix = \"{prefix}\"\nroot_path = \"{root}\"\n")).unwrap();
+        files.push(ipc);
+        let domain = Domain::new(prefix.clone(), root);
+        Self { folder, bus, prefix, files, domain }
+    }
+
+    pub fn shipped() -> Self {
+        Self::new(|_, text| text)
+    }
+
+    pub fn config(&self) -> Config {
+        Config::load(&self.files).unwrap()
+    }
+
+    /// The program with arguments and the configuration.
+    pub fn sinew(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+        command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT");
+        command.args(arguments).arg("--config").args(&self.files);
+        command
+    }
+
+    /// Runs a command of an operator; exit code and everything that it said.
+    pub fn operate(&self, arguments: &[&str]) -> (Option<i32>, String) {
+        let out = self.sinew(arguments).output().unwrap();
+        let text = format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+        (out.status.code(), text)
+    }
+
+    pub fn daemon(&self, arguments: &[&str]) -> Daemon {
+        let mut all = vec!["run"];
+        all.extend(arguments);
+        let child = self.sinew(&all).stderr(Stdio::piped()).spawn().unwrap();
+        Daemon { child }
+    }
+
+    pub fn client(&self) -> Client {
+        Client::wait_for_daemon(&self.domain, "paper", WAIT).unwrap()
+    }
+
+    pub fn status(&self) -> Option<StatusReport> {
+        ask(&sinew::daemon::domain_name(&self.domain), "paper").unwrap()
+    }
+
+    /// Waits until the status meets a condition.
+    pub fn until(&self, what: &str, condition: impl Fn(&StatusReport) -> bool) -> StatusReport {
+        let deadline = Instant::now() + WAIT;
+        loop {
+            match self.status() {
+                Some(report) if condition(&report) => return report,
+                report if Instant::now() > deadline => panic!("{what}: {report:#?}"),
+                _ => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+    }
+
+    pub fn request(&self, kind: RequestKind) -> Response {
+        self.client().ask(kind, WAIT).unwrap()
+    }
+
+    /// Arms, until the arm holds.
+    pub fn arm(&self) {
+        self.until("drives ready", |s| {
+            s.drives.ready == s.drives.count && s.drives.fault.is_none() && s.drives.count > 0
+        });
+        let deadline = Instant::now() + WAIT;
+        while !self.request(RequestKind::Arm).is_accepted() {
+            assert!(Instant::now() < deadline, "never accepted: {:#?}", self.status());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        self.until("holding", |s| s.mode == "holding");
+    }
+
+    fn leftovers(&self) -> Vec<PathBuf> {
+        let shm = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.path());
+        let ours = |p: &PathBuf| {
+            let name = p.file_name().unwrap().to_string_lossy().into_owned();
+            name.starts_with(&self.prefix) || name.contains(&self.bus)
+        };
+        let mut found: Vec<_> = shm.filter(ours).collect();
+        found.extend(self.folder.path().join("ipc").exists().then(|| self.folder.path().join("ipc")));
+        found
+    }
+
+    /// After an ordered end nothing is left.
+    pub fn assert_clean(&self) {
+        assert_eq!(self.leftovers(), Vec::<PathBuf>::new());
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        // What a test killed could not clean up; whoever comes last does.
+        self.domain.sweep();
+        let _ = remove_stale(&self.bus);
+        if !std::thread::panicking() {
+            self.assert_clean();
+        }
+    }
+}
+
+/// A daemon as a process.
+pub struct Daemon {
+    pub child: Child,
+}
+
+impl Daemon {
+    pub fn terminate(mut self) -> (ExitStatus, String) {
+        let pid = rustix::process::Pid::from_child(&self.child);
+        rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+        self.finish()
+    }
+
+    pub fn finish(&mut self) -> (ExitStatus, String) {
+        use std::io::Read;
+        let mut text = String::new();
+        self.child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+        (self.child.wait().unwrap(), text)
+    }
+
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The plant on a thread of this process.
+pub struct Plant {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Plant {
+    /// Serves before this returns: its buses are open.
+    pub fn start(place: &Place, lockstep: bool, faults: &[&str]) -> Self {
+        let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
+        settings.seed = 7;
+        if lockstep {
+            settings.pace = sim_plant::config::Pace::Lockstep;
+        }
+        let faults: Vec<FaultSpec> = faults.iter().map(|f| f.parse().unwrap()).collect();
+        let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.seed).unwrap();
+        let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
+        let server = Server::open(&config, &settings, rig, schedule, None).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = stop.clone();
+        let thread = std::thread::spawn(move || {
+            server.run(&flag).unwrap();
+        });
+        Self { stop, thread: Some(thread) }
+    }
+}
+
+impl Drop for Plant {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let ended = thread.join();
+            assert!(ended.is_ok() || std::thread::panicking(), "the plant panicked");
+        }
+    }
+}
+
+/// A perception and task client that keeps to the ticks of a run in lockstep, and remembers the tensions as bits.
+pub struct TickClient {
+    obstacles: SourcePublisher<Obstacles>,
+    targets: SourcePublisher<Target>,
+    states: sinew::ipc::NewestSubscriber<State>,
+    period_ns: u64,
+    _client: Client,
+}
+
+/// Source id of the obstacles in lockstep.
+pub const SOURCE: u32 = 11;
+
+impl TickClient {
+    pub fn new(place: &Place) -> Self {
+        let client = place.client();
+        let (obstacles, targets, states) =
+            (client.obstacles(SOURCE).unwrap(), client.targets(12).unwrap(), client.states().unwrap());
+        let period_ns = (1e9 * place.config().timing.period_s) as u64;
+        Self { obstacles, targets, states, period_ns, _client: client }
+    }
+
+    /// Runs until a record satisfies `last`; every record in order.
+    pub fn run(&mut self, last: impl Fn(&State) -> bool, mut each: impl FnMut(&State)) {
+        self.send(0);
+        loop {
+            let state = self.states.wait(WAIT).unwrap().expect("the daemon no longer ticks");
+            each(&state);
+            if last(&state) {
+                return;
+            }
+            self.send(state.header.tick + 1);
+        }
+    }
+
+    fn send(&mut self, tick: u64) {
+        let time_ns = tick * self.period_ns;
+        let t = time_ns as f64 * 1e-9;
+        // A ball that comes near the tip and goes again, and a tip that swings slowly around the straight pose.
+        let mut set = Obstacles::default();
+        let ball = sinew::ipc::payload::Obstacle {
+            velocity_mps: [-0.05 * (0.5 * t).sin(), 0.0, 0.0],
+            ..sinew::ipc::payload::Obstacle::ball(1, [0.28 + 0.1 * (0.5 * t).cos(), 0.05, -2.1], 0.1)
+        };
+        assert!(set.push(ball));
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let mut target = Target {
+            position_m: [0.08 * (0.4 * t).sin(), 0.05, -2.72],
+            quaternion: [half, 0.0, half, 0.0],
+            velocity_mps: [0.032 * (0.4 * t).cos(), 0.0, 0.0],
+            ..Target::default()
+        };
+        self.obstacles.publish_for_tick(&mut set, time_ns, tick).unwrap();
+        self.targets.publish_for_tick(&mut target, time_ns, tick).unwrap();
+    }
+}
