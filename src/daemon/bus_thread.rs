@@ -58,15 +58,20 @@ pub fn cause_text(cause: u32) -> String {
     }
 }
 
+const NO_EMERGENCY: u32 = 0;
+const NOT_USABLE: u32 = 1;
+const HEARTBEAT_LOST: u32 = 5;
+const NO_FEEDBACK: u32 = 7;
+
 fn cause_of(fault: &Fault) -> u32 {
     match fault {
-        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => 1,
+        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => NOT_USABLE,
         Fault::NoBootUp { .. } => 2,
         Fault::Nmt { .. } => 3,
         Fault::Rebooted => 4,
-        Fault::HeartbeatLost { .. } => 5,
+        Fault::HeartbeatLost { .. } => HEARTBEAT_LOST,
         Fault::Transition { .. } => 6,
-        Fault::NoFeedback { .. } => 7,
+        Fault::NoFeedback { .. } => NO_FEEDBACK,
         Fault::LeftOperation { .. } => 8,
         Fault::Emergency(e) => u32::from(e.code),
     }
@@ -116,6 +121,10 @@ pub(crate) struct BusThread {
     epoch_ns: u64,
     failed_since_ns: Option<u64>,
     input: DrivesInput,
+    /// Drives ready and enabled.
+    counts_up: (usize, usize),
+    /// Cycles without an answer after which a drive's state is unknown.
+    mute_cycles: u64,
     shared: Arc<Shared>,
     statistics_ns: u64,
 }
@@ -158,6 +167,8 @@ impl BusThread {
             epoch_ns: 0,
             failed_since_ns: None,
             input: DrivesInput::default(),
+            counts_up: (0, 0),
+            mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
             shared,
             statistics_ns: 0,
         }
@@ -396,18 +407,29 @@ impl BusThread {
 
     /// What the control thread sees.
     fn update_input(&mut self) {
-        let (mut enabled, mut ready, mut fault) = (0, 0, None);
-        for (cable, (status, memory)) in self.master.status().zip(&self.memory).enumerate() {
+        let (mut enabled, mut powered, mut ready, mut fault) = (0, 0, 0, None);
+        let cycle = self.decoder.cycle();
+        let drives = self.master.status().zip(&self.memory).zip(self.decoder.feedback()).enumerate();
+        for (cable, ((status, memory), feedback)) in drives {
             let state = status.state();
             let up = status.phase == Phase::Ready && !memory.lost;
+            // What it said last is no longer known to be true.
+            let mute = up && status.statusword.is_some() && cycle.saturating_sub(feedback.cycle) > self.mute_cycles;
+            let state = state.filter(|_| up && !mute);
             let faulted = matches!(state, Some(State::Fault | State::FaultReactionActive));
-            enabled += usize::from(up && state == Some(State::OperationEnabled));
+            enabled += usize::from(state == Some(State::OperationEnabled));
+            powered += usize::from(matches!(
+                state,
+                Some(State::ReadyToSwitchOn | State::SwitchedOn | State::OperationEnabled | State::QuickStopActive)
+            ));
             let cause = if memory.lost {
-                Some(5)
+                Some(HEARTBEAT_LOST)
             } else if status.phase == Phase::Failed {
-                Some(memory.sticky.unwrap_or(1))
-            } else if faulted && status.phase == Phase::Ready {
-                Some(memory.emergency.unwrap_or(0))
+                Some(memory.sticky.unwrap_or(NOT_USABLE))
+            } else if mute {
+                Some(NO_FEEDBACK)
+            } else if faulted {
+                Some(memory.emergency.unwrap_or(NO_EMERGENCY))
             } else {
                 memory.sticky
             };
@@ -415,11 +437,13 @@ impl BusThread {
             fault = fault.or(cause.map(|cause| (cable as u16, cause)));
         }
         let count = self.memory.len();
-        let phase = match enabled {
-            0 => DrivesPhase::Off,
-            n if n == count => DrivesPhase::Enabled,
+        // Off only when the last one has gone all the way: an ordered stop waits for that.
+        let phase = match (enabled, powered) {
+            (_, 0) => DrivesPhase::Off,
+            (n, _) if n == count => DrivesPhase::Enabled,
             _ => DrivesPhase::Changing,
         };
+        self.counts_up = (ready, enabled);
         let bus_lost = (0..self.lines.len()).find(|bus| self.is_lost(*bus)).map(|bus| bus as u16);
         self.input = DrivesInput { phase, ready: ready == count, fault, bus_lost };
         self.link.write(self.input);
@@ -454,8 +478,8 @@ impl BusThread {
         let first = self.input.fault;
         let drives = DriveStatus {
             count: self.memory.len(),
-            ready: self.master.status().filter(|s| s.phase == Phase::Ready).count(),
-            enabled: self.master.status().filter(|s| s.state() == Some(State::OperationEnabled)).count(),
+            ready: self.counts_up.0,
+            enabled: self.counts_up.1,
             fault: first.map(|(cable, cause)| {
                 let (bus, node) = self.node_to_drive[usize::from(cable)];
                 format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause))
