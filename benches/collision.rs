@@ -2,9 +2,9 @@
 //!
 //! The arm is the paper's, bent by 3 rad/m; the obstacles lie around it as in a cluttered cell: every shape in turn,
 //! their centres within 0.4 m of the arm. `mixed` holds hulls of 40 points among them, `balls` only balls.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 // The scene is fixed and good; a bench that cannot build it should stop.
-#![allow(clippy::expect_used)]
 
 use divan::{Bencher, black_box};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};

@@ -1,6 +1,7 @@
 //! Time of the model's and the integrator's parts over the arm's size: nodes 5 to 200, cables 6 to 96.
 //!
 //! `[segments, elements each, cables each]`; the paper's arm is `[4, 5, 6]`. No obstacles, no planner: see `planner`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 use divan::{Bencher, black_box};
 use sinew::config::ArmConfig;

@@ -1,4 +1,5 @@
 //! The command line as its users and scripts meet it: output, JSON, exit codes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 use serde_json::Value;
 use std::process::{Command, Output};

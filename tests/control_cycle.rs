@@ -1,4 +1,5 @@
 //! The cycle in modes, faults and time, without threads and without a bus.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 #[path = "support/control.rs"]
 mod rig;
 

@@ -1,4 +1,5 @@
 //! Every term of the residual, the tangent, lengths, curvatures and collision points against the golden states.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
 use serde_json::Value;

@@ -1,4 +1,5 @@
 //! The control thread's claim: after start-up a cycle allocates nothing, in any mode, branch or fault.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 #[path = "support/control.rs"]
 mod rig;
 

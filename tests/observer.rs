@@ -1,5 +1,6 @@
 //! Claims about the observer: what it computes, that it is passive, that it forgets wrong starts, that it never
 //! allocates.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use nalgebra::{DMatrix, DVector};

@@ -1,4 +1,5 @@
 //! Claims about motions: frequencies, energy, orders of convergence, symmetry.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3, Vector4};

@@ -1,4 +1,5 @@
 //! Closed forms and claims about equilibria, and about the cables that cause them.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
 use nalgebra::{DMatrix, Rotation3, UnitQuaternion, Vector3, Vector4};

@@ -1,4 +1,5 @@
 //! The paper's examples in open loop against the golden runs and the bounds that a plan must keep.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
 use sinew::config::{BodyModel, ScenarioConfig, WarningBranch};

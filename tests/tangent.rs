@@ -1,4 +1,5 @@
 //! The analytic tangent against central differences of the residual, entry by entry over the whole matrix.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
 use nalgebra::DMatrix;

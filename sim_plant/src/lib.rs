@@ -5,7 +5,7 @@
 //!
 //! * [`truth`]: the arm; [`drive`]: the drives' protocol; [`rig`]: drums, brakes and encoders between them;
 //! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`trace`]: the truth on file;
-//! * [`config`]: `[plant]`.
+//! * [`config`]: the table of the plant's settings.
 
 pub mod config;
 pub mod drive;

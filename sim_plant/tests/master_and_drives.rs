@@ -1,4 +1,5 @@
 //! The master's half of CiA 402 against the drives' half, on a bus in memory, in lockstep: the clock is a number.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 use proptest::prelude::*;
 use sim_plant::drive::objects::{PRODUCT, dictionary};

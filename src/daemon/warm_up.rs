@@ -28,6 +28,10 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
     settings.observer.settle_time_s = 0.0;
     settings.observer.settle_innovation_rad = 10.0;
     settings.observer.settle_rate_radps = 10.0;
+    // Its encoders stand still while its model moves: that must not end the walk.
+    settings.observer.innovation_bound_rad = f64::INFINITY;
+    settings.observer.innovation_growth_rad = f64::INFINITY;
+    settings.guard.encoder_stuck_s = f64::INFINITY;
     settings.start_tensions_n.fill(settings.arm.tension_n_min);
     let observer = Observer::new(&config.arm, &settings.observer, period_s);
     let mut cycle = Cycle::new(&settings, observer);

@@ -509,11 +509,7 @@ impl Drive {
                 *consumer =
                     Consumer { node, timeout_ns: if node == 0 { 0 } else { timeout_ns }, ..Consumer::default() };
             }
-            o::GUARD => {
-                if self.dictionary.int(o::GUARD, 1) == 0 {
-                    self.sync_lost = false;
-                }
-            }
+            o::GUARD if self.dictionary.int(o::GUARD, 1) == 0 => self.sync_lost = false,
             // The history is cleared by writing 0 to its count.
             o::ERROR_FIELD => (1..=HISTORY).for_each(|s| self.dictionary.set_int(o::ERROR_FIELD, s, 0)),
             _ if pdo::parameter(index).is_some() => {

@@ -128,7 +128,7 @@ fn check_entry(dictionary: &ObjectDictionary, direction: Direction, e: Mapped) -
         Direction::Receive => matches!(d.access, Access::Rw | Access::Rww),
         Direction::Transmit => d.access != Access::Rww,
     };
-    if !d.mappable || !access || d.data_type.size() != Some(e.bytes()) || e.bits % 8 != 0 {
+    if !d.mappable || !access || d.data_type.size() != Some(e.bytes()) || !e.bits.is_multiple_of(8) {
         return Err(AbortCode::NOT_MAPPABLE);
     }
     Ok(())
