@@ -348,8 +348,11 @@ fn run_bus(
     }
 }
 
+/// One handle of each bus.
+type Handles = Vec<Box<dyn CanBus>>;
+
 /// Two handles of every bus: the master's, which only sends, and the bus thread's.
-fn bus_handles(config: &Config) -> Result<(Vec<Box<dyn CanBus>>, Vec<Box<dyn CanBus>>), DaemonError> {
+fn bus_handles(config: &Config) -> Result<(Handles, Handles), DaemonError> {
     let listeners = setup::open_buses(config)?;
     let mut masters = Vec::with_capacity(listeners.len());
     for (bus, settings) in listeners.iter().zip(&config.drives.buses) {

@@ -520,7 +520,9 @@ impl Master {
             if self.slots[i].status.phase != Phase::Ready {
                 continue;
             }
-            let arrived = self.step_towards_goal(i, now_ns);
+            // A drive in fault gives no torque and goes nowhere before a reset: those behind it must not wait for that.
+            let faulted = matches!(self.slots[i].status.state(), Some(State::Fault | State::FaultReactionActive));
+            let arrived = self.step_towards_goal(i, now_ns) || faulted;
             if !arrived && order != Order::Parallel && !self.slots[i].stuck {
                 break;
             }
