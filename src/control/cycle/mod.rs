@@ -167,7 +167,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         };
         Self {
             supervisor: Supervisor::new(&settings.timing, &settings.observer),
-            encoders: EncoderGuard::new(&settings.guard, cables),
+            encoders: EncoderGuard::new(&settings.guard, cables, settings.timing.period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.

@@ -25,14 +25,16 @@ struct Track {
     heard_ns: u64,
     /// Since when the reading is exactly the same (ns).
     same_since_ns: u64,
-    /// Least and largest length of the model's cable since then (m).
+    /// Time since then in which the loop itself did not run and no encoder could be asked (ns).
+    paused_ns: u64,
+    /// Least and largest length of the model's cable since the reading changed (m).
     model_m: (f64, f64),
     /// Length of the model's cable when the last reading came (m); `None` without a model.
     model_at_reading_m: Option<f64>,
 }
 
 const BLANK: Track =
-    Track { last_m: None, heard_ns: 0, same_since_ns: 0, model_m: (0.0, 0.0), model_at_reading_m: None };
+    Track { last_m: None, heard_ns: 0, same_since_ns: 0, paused_ns: 0, model_m: (0.0, 0.0), model_at_reading_m: None };
 
 /// How far the model's cable moved since the track's last reading (m); 0 without a model.
 fn moved(model_m: Option<f64>, track: &Track) -> f64 {
@@ -46,19 +48,23 @@ pub struct EncoderGuard {
     stuck_ns: u64,
     stuck_motion_m: f64,
     silent_ns: u64,
+    period_ns: u64,
+    checked_ns: Option<u64>,
     tracks: Vec<Track>,
     lengths_m: Vec<f64>,
     bridged: CableMask,
 }
 
 impl EncoderGuard {
-    /// For so many cables. Allocates.
-    pub fn new(config: &GuardConfig, cables: usize) -> Self {
+    /// For so many cables, checked every `period_s`. Allocates.
+    pub fn new(config: &GuardConfig, cables: usize, period_s: f64) -> Self {
         Self {
             jump_m: config.encoder_jump_m,
             stuck_ns: seconds_to_ns(config.encoder_stuck_s),
             stuck_motion_m: config.encoder_stuck_motion_m,
             silent_ns: seconds_to_ns(config.encoder_silent_s),
+            period_ns: seconds_to_ns(period_s),
+            checked_ns: None,
             tracks: vec![BLANK; cables],
             lengths_m: vec![f64::NAN; cables],
             bridged: CableMask::default(),
@@ -76,10 +82,11 @@ impl EncoderGuard {
         self.bridged
     }
 
-    /// The first cable that was not heard within the limit at `now_ns`, with the age of its reading (s).
+    /// The first cable that was not heard within the limit at `now_ns`, with the age of its reading (s). Time in which
+    /// the loop itself was late does not count: an encoder that was not asked cannot answer.
     pub fn silent(&self, now_ns: u64) -> Option<(u16, f64)> {
         self.tracks.iter().enumerate().find_map(|(cable, track)| {
-            let age_ns = now_ns.saturating_sub(track.heard_ns);
+            let age_ns = now_ns.saturating_sub(track.heard_ns).saturating_sub(track.paused_ns);
             let age_s = if track.last_m.is_some() { age_ns as f64 * 1e-9 } else { f64::INFINITY };
             (track.last_m.is_none() || age_ns > self.silent_ns).then_some((cable as u16, age_s))
         })
@@ -113,8 +120,12 @@ impl EncoderGuard {
         faults: &mut FaultList,
     ) {
         let (mut jump, mut stuck) = (None, None);
+        let since_ns = now_ns.saturating_sub(self.checked_ns.unwrap_or(now_ns));
+        let paused_ns = since_ns.saturating_sub(self.period_ns);
+        self.checked_ns = Some(now_ns);
         self.bridged = CableMask::default();
         for (cable, track) in self.tracks.iter_mut().enumerate() {
+            track.paused_ns += paused_ns;
             let model = model_m.map(|lengths| lengths[cable]);
             let reading = readings.lengths_m.get(cable).copied().filter(|_| readings.valid.contains(cable));
             let new = reading.filter(|_| track.last_m.is_none() || readings.capture_ns > track.heard_ns);
@@ -141,6 +152,7 @@ impl EncoderGuard {
                     }
                     track.last_m = Some(length);
                     track.heard_ns = readings.capture_ns;
+                    track.paused_ns = 0;
                     track.model_at_reading_m = model;
                 }
             }
@@ -183,7 +195,7 @@ mod tests {
             encoder_stuck_motion_m: 0.002,
             encoder_silent_s: 0.05,
         };
-        EncoderGuard::new(&config, 2)
+        EncoderGuard::new(&config, 2, 0.01)
     }
 
     fn feed(g: &mut EncoderGuard, ms: u64, lengths: [f64; 2], valid: u128, model: Option<[f64; 2]>) -> Vec<Fault> {
@@ -232,6 +244,18 @@ mod tests {
         let mut faults = FaultList::default();
         g.check(&readings, 61 * MS, None, true, &mut faults);
         assert!(matches!(faults.iter().next(), Some(Fault::EncoderSilent { cable: 0, .. })));
+    }
+
+    #[test]
+    fn a_loop_that_slept_does_not_take_its_own_sleep_for_an_encoders_silence() {
+        let mut g = guard();
+        assert_eq!(feed(&mut g, 10, [0.65, 0.6], 3, None), []);
+        // Asleep for 200 ms: the next tick finds the old readings, and the encoders get their time from then on.
+        for ms in [210, 220, 230, 240, 250] {
+            assert_eq!(feed(&mut g, ms, [f64::NAN, f64::NAN], 0, None), [], "{ms} ms");
+        }
+        let faults = feed(&mut g, 260, [f64::NAN, f64::NAN], 0, None);
+        assert!(matches!(faults[..], [Fault::EncoderSilent { cable: 0, .. }]), "{faults:?}");
     }
 
     #[test]
