@@ -165,12 +165,6 @@ impl<E: Estimator> Controller<E> {
         &mut self.inputs
     }
 
-    /// Tensions sent last (N).
-    #[cfg(test)]
-    pub(crate) fn tensions_n(&self) -> &[f64] {
-        self.cycle.tensions_n()
-    }
-
     /// One tick. `stop` asks for the ordered stop.
     pub(crate) fn tick(&mut self, time: &TickTime, stop: bool, writer: &mut CycleWriter) -> Ticked {
         let now_ns = time.now_ns;
