@@ -120,20 +120,30 @@ fn bad_obstacles_are_rejected_counted_and_named_in_the_status() {
     assert!(said.contains("1 x more entries than the capacity"), "{said}");
 }
 
-/// Runs into a fault of the plant; the latched code, and whether the tensions had come down to the safe value.
-fn run_into(fault: &str) -> (Place, Plant, Daemon, u32) {
+/// What is left of a run; clients go first, the place last.
+struct Ran {
+    _ticker: Ticker,
+    daemon: Option<Daemon>,
+    _plant: Plant,
+    place: Place,
+    code: u32,
+}
+
+/// Runs in lockstep into a fault of the plant, following a moving tip; the tensions have come down to the
+/// safe value then.
+fn run_into(fault: &str) -> Ran {
     let place = Place::shipped();
-    let plant = Plant::start(&place, false, &[fault]);
-    let daemon = place.daemon(&["--arm-on-start"]);
-    place.until("holding", |s| s.mode == "holding");
-    // Something must move for an encoder to stick.
-    let mut inject = place.sinew(&["obstacles", "inject", "--for", "30"]).spawn().unwrap();
-    place.until("a source", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
-    assert_eq!(place.operate(&["target", "--pose", "0.3,0.1,-2.6,0.7071,0,0.7071,0"]).0, Some(0));
-    let _ = place.operate(&["track"]);
+    let plant = Plant::start(&place, true, &[fault]);
+    let daemon = place.daemon(&[
+        "--lockstep",
+        "--arm-on-start",
+        "--track-on-start",
+        "--await-obstacles",
+        "11",
+        "--await-target",
+    ]);
+    let ticker = TickClient::new(&place).spawn();
     let report = place.until("a fault", |s| s.fault.is_some());
-    inject.kill().unwrap();
-    inject.wait().unwrap();
     place.until("drives off", |s| s.drives.enabled == 0);
     let state = place.client().states().unwrap().wait(WAIT).unwrap().unwrap();
     assert!(state.tension_command_n[..24].iter().all(|t| *t == 0.0), "{:?}", &state.tension_command_n[..24]);
@@ -142,38 +152,37 @@ fn run_into(fault: &str) -> (Place, Plant, Daemon, u32) {
     let fault = report.fault.unwrap();
     assert!(!fault.clears.is_empty());
 
-    (place, plant, daemon, fault.code)
+    Ran { _ticker: ticker, daemon: Some(daemon), _plant: plant, place, code: fault.code }
 }
 
 #[test]
 fn an_encoder_that_jumps_is_a_latched_fault_with_its_cause() {
-    let (_place, _plant, _daemon, code) = run_into("jump:5:0.03@4");
-    assert_eq!(code, 21);
+    assert_eq!(run_into("jump:5:0.03@4").code, 21);
 }
 
 #[test]
 fn an_encoder_that_falls_silent_is_a_latched_fault_with_its_cause() {
-    let (_place, _plant, _daemon, code) = run_into("silence:5@4");
-    assert_eq!(code, 20);
+    assert_eq!(run_into("silence:5@4").code, 20);
 }
 
 #[test]
 fn an_encoder_that_sticks_is_a_latched_fault_with_its_cause() {
-    let (_place, _plant, _daemon, code) = run_into("stick:5@2");
+    let code = run_into("stick:5@2").code;
     assert!([22, 30, 31].contains(&code), "stuck, or noticed by the innovation: {code}");
 }
 
 #[test]
 fn a_drive_that_trips_is_a_latched_fault_and_clear_makes_the_arm_work_again() {
-    let (place, _plant, daemon, code) = run_into("trip:3@4");
-    assert_eq!(code, 10);
+    let mut ran = run_into("trip:3@4");
+    assert_eq!(ran.code, 10);
+    let place = &ran.place;
     let deadline = Instant::now() + WAIT;
     while !place.request(RequestKind::Clear).is_accepted() {
         assert!(Instant::now() < deadline, "{:#?}", place.status());
         std::thread::sleep(Duration::from_millis(50));
     }
     place.arm();
-    assert_eq!(daemon.terminate().0.code(), Some(0));
+    assert_eq!(ran.daemon.take().unwrap().terminate().0.code(), Some(0));
 }
 
 #[test]

@@ -121,6 +121,8 @@ pub(crate) struct BusThread {
     epoch_ns: u64,
     failed_since_ns: Option<u64>,
     input: DrivesInput,
+    /// Lockstep: drives that did not answer in time and are not waited for until they do.
+    given_up: DriveMask,
     /// Drives ready and enabled.
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
@@ -167,6 +169,7 @@ impl BusThread {
             epoch_ns: 0,
             failed_since_ns: None,
             input: DrivesInput::default(),
+            given_up: DriveMask::default(),
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
             shared,
@@ -263,6 +266,9 @@ impl BusThread {
         let tick = cycle.saturating_sub(self.base_cycle);
         let now_ns = self.epoch_ns + tick * self.period_ns;
         self.follow(now_ns);
+        if complete.is_none() {
+            self.given_up = self.decoder.missing();
+        }
         if complete.is_none() && self.decoder.missing() == DriveMask::first(self.memory.len()) {
             self.input.phase = DrivesPhase::Off;
             self.input.bus_lost = Some(0);
@@ -310,10 +316,17 @@ impl BusThread {
         }
         match self.decoder.on_frame(bus, received) {
             Event::Complete { cycle, sync_ns } => {
-                if !lockstep && !self.time.is_lockstep() {
+                self.given_up = DriveMask::default();
+                if !self.time.is_lockstep() {
                     self.publish(cycle, sync_ns, None);
                 }
                 Some(cycle)
+            }
+            Event::Feedback(drive) if lockstep => {
+                self.given_up.0 &= !(1 << drive);
+                let cycle = self.decoder.cycle();
+                // Whoever was given up is not waited for tick by tick.
+                (cycle > self.published && self.decoder.missing().0 & !self.given_up.0 == 0).then_some(cycle)
             }
             _ => None,
         }

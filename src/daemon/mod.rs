@@ -47,7 +47,7 @@ pub use tick::{AutoRequests, limits};
 use crate::config::Config;
 use crate::control::Settings;
 use crate::ipc::{
-    ChannelCapacity, Client, DaemonPorts, Domain, IoThread, LockstepSources, Pace, channels, monotonic_ns,
+    ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
 };
 use crate::recording::Recorder;
 use bus_thread::BusThread;
@@ -158,7 +158,7 @@ impl Daemon {
         let settings = settings(config, options)?;
         let domain = domain(config);
         let arm = &config.ipc.arm;
-        let ports = DaemonPorts::create(&domain, arm)?;
+        let ports = open_ports(&domain, arm)?;
         let server = StatusServer::bind(&domain_name(&domain), arm)?;
         let lockstep = options.lockstep.is_some();
         let shared = Arc::new(Shared::new(Fixed {
@@ -315,6 +315,23 @@ impl Drop for Daemon {
     fn drop(&mut self) {
         if let Err(error) = self.join() {
             tracing::error!(%error, "stopping");
+        }
+    }
+}
+
+/// The ports; a client that looks for a daemon in the same instant, and sweeps up behind itself because it finds none,
+/// can take files away from under the services being made. Then they are made again.
+fn open_ports(domain: &Domain, arm: &str) -> Result<DaemonPorts, DaemonError> {
+    const TRIES: u32 = 10;
+    let mut tries = 0;
+    loop {
+        match DaemonPorts::create(domain, arm) {
+            Err(IpcError::Port { cause, .. }) if tries < TRIES => {
+                tracing::debug!(cause, "services not made, again");
+                tries += 1;
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            result => return Ok(result?),
         }
     }
 }
