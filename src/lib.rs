@@ -15,3 +15,8 @@ pub mod planner;
 pub mod recording;
 pub mod report;
 pub mod scenario;
+
+/// Makes the claims of unit tests about allocation able to fail.
+#[cfg(test)]
+#[global_allocator]
+static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
