@@ -297,3 +297,42 @@ fn commands_without_a_daemon_say_so() {
     assert_eq!(code, Some(2));
     assert!(said.contains("expected 7"), "{said}");
 }
+
+/// A client's process, stopped when the test ends.
+struct Running(std::process::Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_rust_and_a_python_client_feed_a_running_daemon_at_the_same_time() {
+    use std::process::{Command, Stdio};
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let environment = std::env::current_exe().unwrap().ancestors().nth(3).unwrap().join("python-env");
+    let made = Command::new("bash").arg(root.join("tests/support/python_env.sh")).arg(environment).output().unwrap();
+    assert!(made.status.success(), "no Python environment: {}", String::from_utf8_lossy(&made.stderr));
+    let python = String::from_utf8(made.stdout).unwrap();
+
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    let script = root.join("examples/obstacle_client.py");
+    let mut command = Command::new(python.trim());
+    command.arg(script).args(["--arm", "paper", "--source", "2", "--rate", "100"]).envs(place.domain.env());
+    let _python = Running(command.stdout(Stdio::null()).spawn().unwrap());
+    let arguments = ["obstacles", "inject", "--ball", "0.5,0.1,-1.0,0.1", "--for", "60"];
+    let _rust = Running(place.sinew(&arguments).stdout(Stdio::null()).spawn().unwrap());
+
+    let both = |least: u64| {
+        move |s: &sinew::daemon::status::StatusReport| {
+            s.obstacles.iter().filter(|o| o.accepted >= least && o.rejected.is_empty()).count() == 2
+        }
+    };
+    let first = place.until("both clients heard", both(1));
+    assert!(first.obstacles.iter().any(|o| o.id == 2), "{first:#?}");
+    place.until("both go on", both(50));
+}
