@@ -3,7 +3,7 @@
 //! Enters: the arm and the observer's settings once; then, each tick, the tensions of the tick and the measured cable
 //! lengths with the cables that have none. Leaves: a state on which all constraints hold, the disturbance as tensions,
 //! and the innovation as data. It never decides (whether an innovation is a fault is for control to say), never reads
-//! a clock, and after [`Observer::start`] it never allocates.
+//! a clock, and after [`Observer::new`] it never allocates.
 //!
 //! The estimate is the dynamic model itself, driven by the same tensions, with a correction that acts like cables do:
 //! a spring and a Maxwell damper between the lengths of the model and of the arm. Springs and dampers only take energy

@@ -71,7 +71,7 @@ pub struct Observer {
     health: Health,
     pub(super) length: Vec<f64>,
     pub(super) z: Vec<f64>,
-    w: Vec<f64>,
+    pub(super) w: Vec<f64>,
     pub(super) effective: Vec<f64>,
     /// `V = B T`, row-major 11N x angles, and `S^-1 V`.
     pub(super) v: Vec<f64>,
@@ -81,7 +81,7 @@ pub struct Observer {
     pub(super) small_a: Vec<f64>,
     pub(super) small_b: Vec<f64>,
     pub(super) dx: Vec<f64>,
-    curvatures: [Vec<f64>; 2],
+    pub(super) curvatures: [Vec<f64>; 2],
 }
 
 /// A length that can be used.

@@ -35,7 +35,7 @@ const CORRECTION_MAX: f64 = 0.5;
 
 impl Observer {
     /// Starts at rest under tensions `u` (N) with the measured `lengths` (m); `valid` tells which lengths count
-    /// (empty: all). Allocates a little; call it before the loop.
+    /// (empty: all). Does not allocate: the control thread starts it at every arming.
     ///
     /// # Errors
     /// [`StartError`]; the estimate is then not usable.
@@ -58,45 +58,43 @@ impl Observer {
     /// Gauss-Newton on the curvatures; leaves the chain in `state`, at rest.
     fn shape(&mut self, lengths: &[f64]) -> Result<(), StartError> {
         let n = self.space.angle_count();
-        let mut curvatures = vec![0.0; n];
-        let mut length: Vec<f64> = vec![0.0; lengths.len()];
-        let (mut z, mut moved) = (vec![0.0; n], vec![0.0; n]);
-        let mut jacobian = vec![0.0; n * n];
+        self.curvatures[0].fill(0.0);
         let mut innovation = f64::INFINITY;
         for _ in 0..SHAPE_ITERATIONS_MAX {
-            self.arm.bent_into(&curvatures, &mut self.state.q);
-            self.arm.cable_lengths_into(&self.state.q, &mut length);
-            self.space.angles_into(&length, lengths, &mut z);
-            innovation = z.iter().fold(0.0, |a, z| a.max(z.abs()));
+            self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+            self.arm.cable_lengths_into(&self.state.q, &mut self.length);
+            self.space.angles_into(&self.length, lengths, &mut self.z);
+            innovation = self.z.iter().fold(0.0, |a, z| a.max(z.abs()));
             if innovation < SHAPE_TOLERANCE_RAD {
                 break;
             }
             for k in 0..n {
                 let h = 1e-6;
-                curvatures[k] += h;
-                self.arm.bent_into(&curvatures, &mut self.state.q);
-                curvatures[k] -= h;
-                self.arm.cable_lengths_into(&self.state.q, &mut length);
-                self.space.angles_into(&length, lengths, &mut moved);
+                self.curvatures[0][k] += h;
+                self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+                self.curvatures[0][k] -= h;
+                self.arm.cable_lengths_into(&self.state.q, &mut self.length);
+                self.space.angles_into(&self.length, lengths, &mut self.w);
                 for i in 0..n {
-                    jacobian[i * n + k] = (moved[i] - z[i]) / h;
+                    self.small_a[i * n + k] = (self.w[i] - self.z[i]) / h;
                 }
             }
             // A segment whose cables are all silent keeps its curvature: unit row.
             for i in 0..n {
-                if jacobian[i * n..(i + 1) * n].iter().all(|j| *j == 0.0) {
-                    jacobian[i * n + (i ^ 1)] = 1.0;
+                if self.small_a[i * n..(i + 1) * n].iter().all(|j| *j == 0.0) {
+                    self.small_a[i * n + (i ^ 1)] = 1.0;
                 }
             }
-            if !dense::solve_in_place(n, &mut jacobian, &mut z) {
+            if !dense::solve_in_place(n, &mut self.small_a, &mut self.z) {
                 return Err(StartError::Shape { innovation_rad: innovation });
             }
-            curvatures.iter_mut().zip(&z).for_each(|(k, d)| *k -= d);
+            self.curvatures[0].iter_mut().zip(&self.z).for_each(|(k, d)| *k -= d);
         }
         if innovation.is_nan() || innovation >= 1e-6 {
             return Err(StartError::Shape { innovation_rad: innovation });
         }
-        self.arm.bent_into(&curvatures, &mut self.state.q);
+        self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+        self.w.fill(0.0);
         for v in [&mut self.state.qd, &mut self.state.qdd, &mut self.state.a, &mut self.state.lambda] {
             v.fill(0.0);
         }
