@@ -74,6 +74,7 @@ impl Domain {
     /// hold the process id and the time too.
     pub fn sweep(&self) {
         let Ok(config) = self.config() else { return };
+        let _turn = turn();
         let mut in_use = false;
         let listed = Node::<Ipc>::list(&config, |node| {
             let gone = match node {
@@ -106,6 +107,15 @@ impl Domain {
     }
 }
 
+/// Holds other processes of this machine off while a node is made or the last one's leftovers are swept: in between, a
+/// client that finds no daemon would take files away from under a node that is just coming up. The lock is on the
+/// folder itself, so it leaves no file, and it ends with its process. Without it (no such folder) all goes on unlocked.
+fn turn() -> Option<std::fs::File> {
+    let folder = std::fs::File::open("/dev/shm").ok()?;
+    rustix::fs::flock(&folder, rustix::fs::FlockOperation::LockExclusive).ok()?;
+    Some(folder)
+}
+
 /// A node, removed with its leftovers when the last port that it serves is gone.
 #[derive(Debug)]
 pub(crate) struct Session {
@@ -122,6 +132,7 @@ impl Session {
             value: name.into(),
             why: format!("{e:?}"),
         })?;
+        let _turn = turn();
         let node = NodeBuilder::new()
             .name(&node_name)
             // Signals belong to the program, not to its libraries.
