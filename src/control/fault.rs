@@ -95,7 +95,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// One of each, for documents and tests; the data are placeholders.
+    /// One of each, for documents and tests; the data stand for any.
     pub const EXAMPLES: [Self; 17] = [
         Self::DriveFault { cable: 0, cause: 0 },
         Self::DrivesLost,
