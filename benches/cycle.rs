@@ -94,7 +94,7 @@ fn run(config: &Config, balls: u64) -> Histogram<u64> {
             tensions_measured_n: &[],
             obstacles: &obstacles,
             demand: ObstacleDemand::Proceed,
-            target: Some(TargetInput { now: target, ahead: None, sequence: 0, fresh: true }),
+            target: Some(TargetInput { now: target, ahead: None, weight: 0.0, sequence: 0, fresh: true }),
             drives,
             request,
         };

@@ -139,7 +139,8 @@ fn target(run: &Run, t: f64) -> Target {
             (target.position_m, target.quaternion) = path.pose_at(t);
             target.velocity_mps = path.velocity_at(t);
         }
-        Task::Shape { curvatures_1pm, .. } => {
+        task @ Task::Shape { curvatures_1pm, .. } => {
+            target.weight = task.shape_weight_at(t).unwrap_or(0.0);
             target.mode = TargetMode::Shape.wire();
             target.segment_count = (curvatures_1pm.len() / 2) as u32;
             target.curvature_1pm[..curvatures_1pm.len()].copy_from_slice(curvatures_1pm);

@@ -46,6 +46,9 @@ pub(crate) struct TargetArguments {
     /// Average curvatures (1/m), (y, z) segment by segment.
     #[arg(long, value_name = "Y1,Z1,Y2,Z2,...", allow_hyphen_values = true)]
     curvatures: Option<String>,
+    /// Weight of the task in place of the configured one: that of the pose, or of the curvatures.
+    #[arg(long, value_name = "WEIGHT")]
+    weight: Option<f64>,
 }
 
 impl TargetArguments {
@@ -93,6 +96,12 @@ impl TargetArguments {
             target.mode = TargetMode::Shape.wire();
             target.segment_count = (values.len() / 2) as u32;
             target.curvature_1pm[..values.len()].copy_from_slice(&values);
+        }
+        if let Some(weight) = self.weight {
+            if !(weight > 0.0 && weight <= 1e20) {
+                return Err(format!("--weight {weight}: expected a number above 0 and at most 1e20"));
+            }
+            target.weight = weight;
         }
         Ok(target)
     }

@@ -285,7 +285,10 @@ impl Content for TaskContent {
                     target.valid_from_ns = origin_ns + (1e9 * point_s) as u64;
                 }
             }
-            Task::Shape { curvatures_1pm, .. } => {
+            task @ Task::Shape { curvatures_1pm, .. } => {
+                // (46); where it is exactly 0, the least number that is not "the configured one".
+                let weight = task.shape_weight_at(t_s.unwrap_or(0.0)).unwrap_or(0.0);
+                target.weight = weight.max(f64::MIN_POSITIVE);
                 target.mode = TargetMode::Shape.wire();
                 target.segment_count = (curvatures_1pm.len() / 2) as u32;
                 let used = curvatures_1pm.len().min(MAX_CURVATURES);
@@ -348,11 +351,15 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_is_one_set_point_for_all_time() {
+    fn a_shape_is_one_set_point_for_all_time_whose_weight_rises() {
         let mut task = TaskContent::new(scenario("shape"));
         let target = *task.at(Some(10.0), 7);
         assert_eq!((target.mode, target.segment_count, target.valid_from_ns), (TargetMode::Shape.wire(), 4, 0));
         assert_eq!(target.curvature_1pm[..3], [0.806, 0.806, -2.417]);
+        // (46): -9.99e5 (10 - 100)^2 + 1e10.
+        assert!((target.weight - 1.9081e9).abs() < 1.0, "{}", target.weight);
+        assert!((task.at(None, 0).weight - 1e7).abs() < 1.0);
+        assert_eq!(task.at(Some(200.0), 0).weight, 1e10);
     }
 
     #[test]

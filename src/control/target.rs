@@ -79,10 +79,23 @@ pub struct TargetInput {
     /// At the tick's time plus [`super::Cycle::lead_s`], where the client has told that much of its path; otherwise
     /// `now` is extrapolated by its rates.
     pub ahead: Option<Target>,
+    /// Weight of the task at the end of lookahead and lead, in place of the configured one: that of the curvatures (46), or
+    /// of the pose (42), with which the rates' weight goes. 0: the configured one.
+    pub weight: f64,
     /// Sequence number of the point in use, for the record.
     pub sequence: u64,
     /// Whether it is young enough to be followed; a target that is not leads to a hold.
     pub fresh: bool,
+}
+
+impl TargetInput {
+    /// Whether every number is finite, quaternions have a direction, and the weight is none below 0.
+    pub fn is_sound(&self) -> bool {
+        self.now.is_finite()
+            && self.ahead.is_none_or(|ahead| ahead.is_finite())
+            && self.weight.is_finite()
+            && self.weight >= 0.0
+    }
 }
 
 /// Time constant (s) of the lag that rate weights give a planned motion: with one implicit step of `eta` seconds whose

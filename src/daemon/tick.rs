@@ -263,16 +263,18 @@ impl<E: Estimator> Controller<E> {
         let fresh = now.overrun_s <= limits.hold_after_s;
         let sequence = now.sequence;
         let now_target = target_of(&now);
-        let ahead = self.ahead(track, now_ns, limits, now_target.is_tip());
-        Some(TargetInput { now: now_target, ahead, sequence, fresh })
+        let (ahead, weight) = match self.ahead(track, now_ns, limits, now_target.is_tip()) {
+            Some(sample) => (Some(target_of(&sample)), sample.weight),
+            None => (None, now.weight),
+        };
+        Some(TargetInput { now: now_target, ahead, weight, sequence, fresh })
     }
 
     /// The target at the end of lookahead and lead, where the client has told that much of its path. Beyond it the
     /// cycle extrapolates by the rates.
-    fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits, tip: bool) -> Option<Target> {
+    fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits, tip: bool) -> Option<TargetSample> {
         let lead_ns = (1e9 * self.cycle.lead_s(tip)) as u64;
-        let sample = track.sample(now_ns + lead_ns, limits)?;
-        (sample.overrun_s <= 0.0).then(|| target_of(&sample))
+        track.sample(now_ns + lead_ns, limits).filter(|sample| sample.overrun_s <= 0.0)
     }
 
     /// The request of this tick, and the command that it answers. What needs no supervisor is answered here.

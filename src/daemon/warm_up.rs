@@ -87,7 +87,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
             let now_ns = (1e9 * period_s) as u64 * (tick + 1);
             let encoders =
                 EncoderReadings { lengths_m: &lengths, valid: CableMask::first(lengths.len()), capture_ns: now_ns };
-            let target = target.map(|now| TargetInput { now, ahead: None, sequence: 0, fresh: true });
+            let target = target.map(|now| TargetInput { now, ahead: None, weight: 0.0, sequence: 0, fresh: true });
             let inputs = TickInputs {
                 tick,
                 now_ns,

@@ -233,6 +233,7 @@ impl Fields for Target {
         let curvatures = 2 * self.segment_count;
         sink.numbers("curvature_1pm", first(&self.curvature_1pm, curvatures));
         sink.numbers("curvature_rate_1pms", first(&self.curvature_rate_1pms, curvatures));
+        sink.f64("weight", self.weight);
     }
 }
 

@@ -364,7 +364,7 @@ pub fn tip(position: [f64; 3], velocity: [f64; 3]) -> TargetInput {
         velocity_mps: velocity.into(),
         angular_velocity_radps: nalgebra::Vector3::zeros(),
     };
-    TargetInput { now, ahead: None, sequence: 1, fresh: true }
+    TargetInput { now, ahead: None, weight: 0.0, sequence: 1, fresh: true }
 }
 
 /// A resting shape target.
@@ -372,5 +372,5 @@ pub fn shape(curvatures: [f64; 8]) -> TargetInput {
     let mut curvatures_1pm = [0.0; CURVATURES_MAX];
     curvatures_1pm[..8].copy_from_slice(&curvatures);
     let now = Target::Shape { curvatures_1pm, rates_1pms: [0.0; CURVATURES_MAX] };
-    TargetInput { now, ahead: None, sequence: 1, fresh: true }
+    TargetInput { now, ahead: None, weight: 0.0, sequence: 1, fresh: true }
 }

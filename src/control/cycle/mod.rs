@@ -249,7 +249,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let mut limits = Limits::default();
         self.watch_encoders(inputs, &mut faults, &mut limits);
         let progress = self.follow(inputs, &mut faults);
-        if inputs.target.is_some_and(|t| !t.now.is_finite() || t.ahead.is_some_and(|a| !a.is_finite())) {
+        if inputs.target.is_some_and(|t| !t.is_sound()) {
             faults.push(Fault::TargetNotFinite);
         }
         if faults.iter().any(|fault| fault.spoils_estimate()) {
@@ -443,13 +443,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 return None;
             }
             Action::Hold => match self.held {
-                Held::Tip { position, quaternion } => Wanted::Tip { position, quaternion },
-                Held::Shape(curvatures) => Wanted::Shape(curvatures),
+                Held::Tip { position, quaternion } => Wanted::Tip { position, quaternion, weight: 0.0 },
+                Held::Shape(curvatures) => Wanted::Shape { curvatures, weight: 0.0 },
             },
             Action::Home => {
                 let mut curvatures = [0.0; CURVATURES_MAX];
                 curvatures.iter_mut().zip(&self.settings.home_curvatures_1pm).for_each(|(k, home)| *k = *home);
-                Wanted::Shape(curvatures)
+                Wanted::Shape { curvatures, weight: 0.0 }
             }
             Action::Track => match self.wanted(inputs) {
                 Some(wanted) => wanted,
@@ -469,9 +469,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s(target.now.is_tip())));
         Some(match ahead {
             Target::Tip { position_m, quaternion, .. } => {
-                Wanted::Tip { position: position_m, quaternion: quaternion.normalize() }
+                Wanted::Tip { position: position_m, quaternion: quaternion.normalize(), weight: target.weight }
             }
-            Target::Shape { curvatures_1pm, .. } => Wanted::Shape(curvatures_1pm),
+            Target::Shape { curvatures_1pm, .. } => {
+                Wanted::Shape { curvatures: curvatures_1pm, weight: target.weight }
+            }
         })
     }
 
@@ -485,15 +487,19 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     ) -> Report {
         let weights = &self.settings.weights;
         let (planner, goal) = match wanted {
-            Wanted::Tip { position, quaternion } => {
+            Wanted::Tip { position, quaternion, weight } => {
                 let w = &weights.tip;
+                let pose = given_or(*weight, w.pose);
+                // In proportion, so that the lag of the motion stays the one that the lead is made for.
+                let rate = w.rate * (pose / w.pose);
                 let (position, quaternion) = (*position, *quaternion);
-                let goal = Goal::Tip { position, quaternion, pose: w.pose, rate: w.rate, damping: w.damping };
+                let goal = Goal::Tip { position, quaternion, pose, rate, damping: w.damping };
                 (&mut self.tip_planner, goal)
             }
-            Wanted::Shape(curvatures) => {
+            Wanted::Shape { curvatures, weight } => {
+                let weight = given_or(*weight, weights.shape.curvature);
                 let curvatures = &curvatures[..2 * self.arm.segment_count()];
-                (&mut self.shape_planner, Goal::Shape { curvatures, weight: weights.shape.curvature })
+                (&mut self.shape_planner, Goal::Shape { curvatures, weight })
             }
         };
         let report = planner.plan(
@@ -561,8 +567,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     }
 }
 
-/// What a plan is made for.
+/// What a plan is made for; a weight of 0 is the configured one.
 enum Wanted {
-    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
-    Shape([f64; CURVATURES_MAX]),
+    Tip { position: Vector3<f64>, quaternion: Vector4<f64>, weight: f64 },
+    Shape { curvatures: [f64; CURVATURES_MAX], weight: f64 },
+}
+
+/// A target's weight, or the configured one where the target has none.
+fn given_or(weight: f64, configured: f64) -> f64 {
+    if weight > 0.0 { weight } else { configured }
 }

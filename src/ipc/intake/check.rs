@@ -7,6 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 /// Coordinates and lengths beyond this (m) are a mistake of units, and would overflow squared.
 const EXTENT_M_MAX: f64 = 1e4;
+/// As the configuration's keys permit.
+const WEIGHT_MAX: f64 = 1e20;
 /// A hull thinner than this share of its largest extent is flat.
 const HULL_THICKNESS_MIN: f64 = 1e-6;
 
@@ -24,6 +26,12 @@ pub(super) fn coordinates(values: &[f64]) -> Result<(), RejectCause> {
 pub(super) fn lengths(values: &[f64]) -> Result<(), RejectCause> {
     coordinates(values)?;
     if values.iter().all(|&v| v > 0.0) { Ok(()) } else { Err(RejectCause::Dimensions) }
+}
+
+/// A task's weight: finite, not negative, and within the range of the configured ones.
+pub(super) fn weight(value: f64) -> Result<(), RejectCause> {
+    finite(&[value])?;
+    if (0.0..=WEIGHT_MAX).contains(&value) { Ok(()) } else { Err(RejectCause::Weight) }
 }
 
 pub(super) fn quaternion(q: &[f64; 4]) -> Result<(), RejectCause> {

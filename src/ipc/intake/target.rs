@@ -35,6 +35,8 @@ pub struct TargetSample {
     pub curvature_1pm: [f64; MAX_CURVATURES],
     /// Their rates (1/(m s)).
     pub curvature_rate_1pms: [f64; MAX_CURVATURES],
+    /// Weight of the task; 0: the configured one.
+    pub weight: f64,
     /// Sequence number of the point that the sample follows.
     pub sequence: u64,
     /// By how much the time lies beyond the last point of a *moving* target (s); 0 otherwise. The target stands still from
@@ -66,6 +68,7 @@ impl TargetTrack {
     }
 
     fn validate(&self, t: &Target) -> Result<(), RejectCause> {
+        check::weight(t.weight)?;
         match TargetMode::from_wire(t.mode).ok_or(RejectCause::UnknownKind)? {
             TargetMode::Tip => {
                 check::coordinates(&t.position_m)?;
@@ -171,6 +174,7 @@ fn sample_of(point: &Target, mode: TargetMode) -> TargetSample {
         angular_velocity_radps: point.angular_velocity_radps,
         curvature_1pm: point.curvature_1pm,
         curvature_rate_1pms: point.curvature_rate_1pms,
+        weight: point.weight,
         sequence: point.header.sequence,
         overrun_s: 0.0,
     }
@@ -217,6 +221,10 @@ fn between(from: &Target, to: &Target, mode: TargetMode, at_ns: u64) -> TargetSa
     for i in 0..MAX_CURVATURES {
         (s.curvature_1pm[i], s.curvature_rate_1pms[i]) =
             hermite(from.curvature_1pm[i], from.curvature_rate_1pms[i], to.curvature_1pm[i], to.curvature_rate_1pms[i]);
+    }
+    // Between a given weight and the configured one, which is not known here, there is nothing to interpolate.
+    if from.weight > 0.0 && to.weight > 0.0 {
+        s.weight = from.weight + x * (to.weight - from.weight);
     }
     // Both signs of a quaternion are the same attitude: turn the short way round.
     let (a, b) = (unit(&from.quaternion), unit(&to.quaternion));

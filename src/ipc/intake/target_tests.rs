@@ -85,6 +85,19 @@ fn a_moving_target_that_falls_silent_stands_still_and_is_reported() {
 }
 
 #[test]
+fn a_weight_rises_between_its_points_and_none_stays_none() {
+    let mut track = TargetTrack::new(4);
+    for (k, weight) in [2e7, 4e7, 0.0].into_iter().enumerate() {
+        let point = point(k as u64, NOW + k as u64 * SECOND, 0.0, 0.0);
+        accept(&mut track, &Target { weight, ..point });
+    }
+    let weight_at = |ns: u64| track.sample(NOW + ns, &limits()).unwrap().weight;
+    assert_eq!([0, SECOND / 2, SECOND].map(weight_at), [2e7, 3e7, 4e7]);
+    assert_eq!(weight_at(SECOND + SECOND / 2), 4e7, "up to a point without one, that of the point before");
+    assert_eq!(weight_at(5 * SECOND), 0.0);
+}
+
+#[test]
 fn a_new_point_replaces_all_that_come_after_it() {
     let mut track = TargetTrack::new(4);
     for k in 0..10 {
@@ -133,6 +146,9 @@ fn malformed_targets_are_refused_one_by_one() {
     refused(RejectCause::Sequence, &|t| t.header.sequence = 0);
     refused(RejectCause::Future, &|t| t.header.capture_ns = NOW + SECOND);
     refused(RejectCause::TooManySources, &|t| t.header.source_id = 4);
+    refused(RejectCause::NotFinite, &|t| t.weight = f64::NAN);
+    refused(RejectCause::Weight, &|t| t.weight = -1.0);
+    refused(RejectCause::Weight, &|t| t.weight = 1e21);
     refused(RejectCause::WrongCount, &|t| {
         t.mode = TargetMode::Shape.wire();
         t.segment_count = 3;

@@ -169,6 +169,8 @@ wire_enum! {
         TooManySources = 13, "too many sources";
         /// The capture time is older than `hold_after` already.
         TooOld = 14, "too old on arrival";
+        /// A weight is negative or absurd.
+        Weight = 15, "weight out of range";
     }
 }
 

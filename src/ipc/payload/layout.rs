@@ -31,7 +31,7 @@ fn layouts() -> Vec<Layout> {
         layout!(Encoders: header, cable_count, source, length_valid, tension_valid, length_m, tension_n),
         layout!(Obstacle: id, kind, position_m, quaternion, velocity_mps, dimensions_m, covariance_m2, hull_offset, hull_count),
         layout!(Obstacles: header, count, vertex_count, flags, reserved, obstacles, vertices_m),
-        layout!(Target: header, valid_from_ns, mode, segment_count, position_m, quaternion, velocity_mps, angular_velocity_radps, curvature_1pm, curvature_rate_1pms),
+        layout!(Target: header, valid_from_ns, mode, segment_count, position_m, quaternion, velocity_mps, angular_velocity_radps, curvature_1pm, curvature_rate_1pms, weight),
         layout!(ObstacleDistance: source_id, obstacle_id, surface_distance_m, growth_m),
         layout!(SourceReport: source_id, health, sequence, age_s, accepted, rejected),
         layout!(TickTiming: wakeup_ns, input_ns, estimate_ns, plan_ns, guard_ns, send_ns, cycle_ns),

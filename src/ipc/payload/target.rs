@@ -32,6 +32,9 @@ pub struct Target {
     pub curvature_1pm: [f64; MAX_CURVATURES],
     /// Their rates (1/(m s)).
     pub curvature_rate_1pms: [f64; MAX_CURVATURES],
+    /// Weight of the task from here on, in place of the configured one: that of curvatures and their rates (46) in shape
+    /// mode, that of the pose (42) in tip mode, whose rate weight goes with it. 0: the configured one.
+    pub weight: f64,
 }
 
 impl Default for Target {
@@ -47,6 +50,7 @@ impl Default for Target {
             angular_velocity_radps: [0.0; 3],
             curvature_1pm: [0.0; MAX_CURVATURES],
             curvature_rate_1pms: [0.0; MAX_CURVATURES],
+            weight: 0.0,
         }
     }
 }
