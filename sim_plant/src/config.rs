@@ -3,6 +3,7 @@
 //! Enters: TOML files. Leaves: checked settings; the arm, the drives and the services come from the controller's own
 //! tables. It reads through the same registry as the daemon's configuration and refuses in the same words.
 
+use crate::truth::TruthSettings;
 use serde::Serialize;
 use sinew::config::reader::{self, Section};
 use sinew::config::schema::{Key, Kind, Range, TableSpec};
@@ -23,30 +24,9 @@ pub enum Pace {
 /// section 6).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlantConfig {
-    /// Elements per element of the arm's configuration.
-    pub mesh_refinement: usize,
-    /// Integration step (s).
-    pub step_s: f64,
-    /// Plant's EI and GJ over the arm's.
-    pub stiffness_factor: f64,
-    /// Plant's damping over the arm's.
-    pub damping_factor: f64,
-    /// Plant's disk mass over the arm's.
-    pub disk_mass_factor: f64,
-    /// Each cable's tension is off by a constant factor within `1 +- this`, drawn from the seed.
-    pub tension_error_max: f64,
-    /// Resolution of cable lengths (m); 0 leaves only the drives' counts.
-    pub encoder_step_m: f64,
-    /// Standard deviation of noise on cable lengths before they are rounded (m).
-    pub encoder_noise_m: f64,
-    /// Capstan friction coefficient mu of the cables in their holes.
-    pub capstan_friction: f64,
-    /// Ticks by which commands take effect late.
-    pub latency_ticks: usize,
-    /// Point mass at the tip that the controller does not know (kg).
-    pub extra_payload_kg: f64,
-    /// Seed of tension errors and noise.
-    pub seed: u64,
+    /// How the true arm differs.
+    #[serde(flatten)]
+    pub truth: TruthSettings,
     /// What makes time pass.
     pub pace: Pace,
 }
@@ -170,7 +150,7 @@ fn build(document: &reader::Document<'_>) -> (PlantConfig, Config) {
 }
 
 fn read(table: &Section<'_>, config: &Config) -> PlantConfig {
-    let plant = PlantConfig {
+    let truth = TruthSettings {
         mesh_refinement: table.count("mesh_refinement"),
         step_s: table.float("step_s"),
         stiffness_factor: table.float("stiffness_factor"),
@@ -183,19 +163,20 @@ fn read(table: &Section<'_>, config: &Config) -> PlantConfig {
         latency_ticks: table.count("latency_ticks"),
         extra_payload_kg: table.float("extra_payload_kg"),
         seed: table.integer("seed").unsigned_abs(),
-        pace: if table.choice("pace") == "lockstep" { Pace::Lockstep } else { Pace::Realtime },
     };
+    let pace = if table.choice("pace") == "lockstep" { Pace::Lockstep } else { Pace::Realtime };
+    let plant = PlantConfig { truth, pace };
     if !table.is_clean() {
         return plant;
     }
     let period_s = config.timing.period_s;
-    let steps = period_s / plant.step_s;
+    let steps = period_s / plant.truth.step_s;
     if steps >= 1.0 && (steps - steps.round()).abs() > 1e-6 {
         let help = format!("permitted: {period_s} s (the loop's period) divided by 1, 2, 3, ...");
         table.refuse("step_s", "the loop's period is no whole multiple of it", &help);
     }
     let elements = config.arm.segments.iter().map(|segment| segment.elements).max().unwrap_or(0);
-    if elements * plant.mesh_refinement > 50 {
+    if elements * plant.truth.mesh_refinement > 50 {
         let help =
             format!("permitted: 1 to {}, so that a segment has at most 50 elements", (50 / elements.max(1)).max(1));
         table.refuse("mesh_refinement", "too many elements in a segment", &help);
@@ -225,8 +206,7 @@ mod tests {
         let shipped = BUILTIN_FILES.iter().find(|(name, _)| *name == "plant.toml").unwrap().1;
         let (plant, _) = PlantConfig::parse(texts(shipped)).unwrap();
         assert_eq!(plant, PlantConfig::parse(texts("")).unwrap().0);
-        assert_eq!((plant.mesh_refinement, plant.stiffness_factor, plant.damping_factor), (2, 0.95, 1.2));
-        assert_eq!((plant.disk_mass_factor, plant.tension_error_max, plant.encoder_step_m), (1.05, 0.03, 2e-5));
+        assert_eq!(plant.truth, TruthSettings::study(1));
     }
 
     #[test]

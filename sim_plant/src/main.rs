@@ -92,19 +92,19 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<Serv
         plant.pace = Pace::Lockstep;
     }
     if let Some(seed) = arguments.seed {
-        plant.seed = seed;
+        plant.truth.seed = seed;
     }
     let start = start(arguments, &config)?;
     // Commands late by a tick: in lockstep the arm advances once per tick, in real time step by step.
     let steps_per_tick = match plant.pace {
         Pace::Lockstep => 1,
-        Pace::Realtime => (config.timing.period_s / plant.step_s).round().max(1.0) as usize,
+        Pace::Realtime => (config.timing.period_s / plant.truth.step_s).round().max(1.0) as usize,
     };
-    let rig = Rig::new(&config, &plant, &start, plant.latency_ticks * steps_per_tick).into_diagnostic()?;
-    let schedule = Schedule::new(&arguments.fault, config.arm.cable_count(), plant.seed)
+    let rig = Rig::new(&config, &plant, &start, plant.truth.latency_ticks * steps_per_tick).into_diagnostic()?;
+    let schedule = Schedule::new(&arguments.fault, config.arm.cable_count(), plant.truth.seed)
         .map_err(|refusal| miette::miette!("{refusal}"))?;
     let trace = match &arguments.trace {
-        Some(path) => Some(Trace::create(path, &config.arm.name, &rig, plant.seed).into_diagnostic()?),
+        Some(path) => Some(Trace::create(path, &config.arm.name, &rig, plant.truth.seed).into_diagnostic()?),
         None => None,
     };
     let server = Server::open(&config, &plant, rig, schedule, trace).into_diagnostic()?;

@@ -143,20 +143,8 @@ impl Rig {
         if start.tensions_n.len() != cables {
             return Err(RigError::Tensions { expected: cables, found: start.tensions_n.len() });
         }
-        let settings = TruthSettings {
-            mesh_refinement: plant.mesh_refinement,
-            step_s: plant.step_s,
-            stiffness_factor: plant.stiffness_factor,
-            damping_factor: plant.damping_factor,
-            disk_mass_factor: plant.disk_mass_factor,
-            tension_error_max: plant.tension_error_max,
-            encoder_step_m: plant.encoder_step_m,
-            encoder_noise_m: plant.encoder_noise_m,
-            capstan_friction: plant.capstan_friction,
-            latency_ticks: commands_late,
-            extra_payload_kg: plant.extra_payload_kg,
-            seed: plant.seed,
-        };
+        // In real time the plant takes several steps a tick, and its latency counts steps.
+        let settings = TruthSettings { latency_ticks: commands_late, ..plant.truth.clone() };
         let mut truth = Truth::new(&config.arm, &settings);
         truth.start_at_equilibrium(&start.tensions_n, &start.curvatures_1pm)?;
         let drum = |&held_n: &f64| Drum { held_n: Some(held_n), ..Drum::default() };
@@ -166,7 +154,7 @@ impl Rig {
             command_n: start.tensions_n.clone(),
             before_m: truth.true_lengths().to_vec(),
             rates_mps: vec![0.0; cables],
-            encoder_step_m: plant.encoder_step_m,
+            encoder_step_m: plant.truth.encoder_step_m,
             truth,
             time_s: 0.0,
             enabled_at_s: None,

@@ -177,7 +177,7 @@ impl Server {
             trace,
             pace: plant.pace,
             period_s: config.timing.period_s,
-            step_s: plant.step_s.min(config.timing.period_s),
+            step_s: plant.truth.step_s.min(config.timing.period_s),
             now_ns,
             actions: vec![DriveAction { enabled: false, torque_permille: 0 }; cables],
             served: Served::default(),

@@ -19,6 +19,7 @@ use nalgebra::{Vector3, Vector4};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::Serialize;
 use sinew::config::ArmConfig;
 use sinew::integrator::{Scheme, StaticsError, StepError, Stepper, equilibrium};
 use sinew::model::{Arm, State};
@@ -32,7 +33,7 @@ pub const FRICTION_TIME_S: f64 = 0.02;
 const ITERATIONS_MAX: usize = 12;
 
 /// How the true arm differs from the controller's model of it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TruthSettings {
     /// Elements per element of the arm's configuration.
     pub mesh_refinement: usize,

@@ -25,7 +25,7 @@ impl Check {
         }
         for load in daemon::bus_loads(&config) {
             let value = format!(
-                "{:.1} % of it with worst-case stuffing, permitted {:.0} %, shortest period {:.2} ms",
+                "{:.1} % with worst-case stuffing, at most {:.0} %; shortest period {:.2} ms",
                 100.0 * load.share,
                 100.0 * load.limit,
                 1e3 * load.period_s_min

@@ -112,7 +112,10 @@ impl Demo {
                 eprintln!("interrupted after {:.1} s of {} s", judged.reached_s, setup.duration_s);
                 Ok(Outcome::Failed)
             }
-            Ending::Stopped => Ok(Outcome::Failed),
+            Ending::Stopped => {
+                eprintln!("stopped by a fault after {:.1} s of {} s", judged.reached_s, setup.duration_s);
+                Ok(Outcome::Failed)
+            }
             Ending::Done if judged.contact || !summary.faults.is_empty() => Ok(Outcome::Failed),
             Ending::Done => Ok(Outcome::Done),
         }

@@ -59,8 +59,10 @@ impl Config {
         lines.push(line(
             "planner",
             format!(
-                "lookahead {} s, {} Newton iterations, {:?}",
-                planner.lookahead_s, planner.newton_iterations_max, planner.warning
+                "lookahead {} s, {} Newton iterations, near obstacles {}",
+                planner.lookahead_s,
+                planner.newton_iterations_max,
+                planner.warning.name()
             ),
         ));
         let barrier = planner.barrier.map_or("no barrier".to_owned(), |barrier| format!("barrier {}", barrier.gamma));
@@ -73,6 +75,9 @@ impl Config {
                 observer.stiffness_ratio, observer.disturbance_time_s, observer.latency_ticks
             ),
         ));
+        if self.friction.coefficient > 0.0 {
+            lines.push(line("friction", format!("mu = {} made up for", self.friction.coefficient)));
+        }
         for (index, bus) in self.drives.buses.iter().enumerate() {
             let nodes: Vec<u8> =
                 self.drives.drives.iter().filter(|drive| drive.bus == index).map(|drive| drive.node_id).collect();

@@ -14,6 +14,7 @@ mod check;
 mod document;
 mod drives;
 pub mod error;
+mod friction;
 mod guard;
 mod ipc;
 mod motion;
@@ -34,6 +35,7 @@ pub use builtin::{BUILTIN_FILES, SCENARIOS};
 pub use check::SummaryLine;
 pub use drives::{BusConfig, BusKind, DRIVES, DriveConfig, DrivesConfig};
 pub use error::ConfigError;
+pub use friction::{FRICTION, FrictionConfig};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};
@@ -55,11 +57,11 @@ use std::path::PathBuf;
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
 /// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] = &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &GUARD, &OBSTACLES, &DRIVES, &IPC];
+pub static TABLES: &[&TableSpec] = &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC];
 
 /// What the daemon's files may hold.
 static KNOWN_TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &GUARD, &OBSTACLES, &DRIVES, &IPC, &PLANT];
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC, &PLANT];
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -74,6 +76,8 @@ pub struct Config {
     pub weights: WeightsConfig,
     /// `[observer]`.
     pub observer: ObserverConfig,
+    /// `[friction]`.
+    pub friction: FrictionConfig,
     /// `[guard]`.
     pub guard: GuardConfig,
     /// `[obstacles]`.
@@ -112,6 +116,7 @@ impl Config {
         let planner = planner_file::read(&planner_table, Some(timing.period_s), disk_radius_m);
         let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len());
         let observer = observer::read(&document.table_or_defaults(&OBSERVER));
+        let friction = friction::read(&document.table_or_defaults(&FRICTION));
         let guard_table = document.table_or_defaults(&GUARD);
         let guard = guard::read(&guard_table);
         if guard.encoder_silent_s < 2.0 * timing.period_s {
@@ -127,6 +132,6 @@ impl Config {
             let most = timing.period_s - timing.reserve_s;
             planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
         }
-        Self { arm, timing, planner, weights, observer, guard, obstacles, drives, ipc }
+        Self { arm, timing, planner, weights, observer, friction, guard, obstacles, drives, ipc }
     }
 }

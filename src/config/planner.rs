@@ -16,6 +16,18 @@ pub enum WarningBranch {
     StandardSwarm,
 }
 
+impl WarningBranch {
+    /// The name that the configuration has for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Swarm => "swarm",
+            Self::Seeded => "seeded",
+            Self::Complementarity => "complementarity",
+            Self::StandardSwarm => "standard_swarm",
+        }
+    }
+}
+
 /// Which model of the arm's body the distances are measured from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

@@ -1,6 +1,6 @@
 //! Everything that the cycle is built from.
 
-use crate::config::{ArmConfig, Config, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig};
+use crate::config::{ArmConfig, Config, FrictionConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig};
 
 /// Settings of a [`super::Cycle`], checked where they were read.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +15,8 @@ pub struct Settings {
     pub weights: WeightsConfig,
     /// Time-out and innovation limits.
     pub observer: ObserverConfig,
+    /// Friction that is made up for.
+    pub friction: FrictionConfig,
     /// Guard.
     pub guard: GuardConfig,
     /// Tensions (N), one per cable, to which arming brings the cables and under which the observer settles; the safe
@@ -31,17 +33,19 @@ pub struct Settings {
 impl Settings {
     /// From the daemon's configuration.
     pub fn new(config: &Config) -> Self {
-        Self::from_parts(
+        let parts = Self::from_parts(
             config.arm.clone(),
             config.timing.clone(),
             config.planner.clone(),
             config.weights.clone(),
             config.observer.clone(),
             config.guard.clone(),
-        )
+        );
+        Self { friction: config.friction.clone(), ..parts }
     }
 
-    /// From the parts that matter; start and home have their defaults.
+    /// From the parts that matter; start, home and friction (none) have their
+    /// defaults.
     pub fn from_parts(
         arm: ArmConfig,
         timing: LoopConfig,
@@ -60,6 +64,7 @@ impl Settings {
             planner,
             weights,
             observer,
+            friction: FrictionConfig::NONE,
             guard,
         }
     }

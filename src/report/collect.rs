@@ -214,7 +214,10 @@ impl Collector {
             lookahead_s,
             ticks: self.ticks,
             not_converged: (!fixed_iterations).then_some(self.not_converged),
-            newton: Newton { safe: count(self.iterations[0]), warning: count(self.iterations[1]) },
+            newton: Newton {
+                safe: count(self.iterations[0]).filter(|_| !fixed_iterations),
+                warning: count(self.iterations[1]).filter(|_| !fixed_iterations),
+            },
             obstacles: self
                 .names
                 .iter()

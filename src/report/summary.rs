@@ -22,7 +22,7 @@ pub struct Summary {
     /// Steps whose Newton iteration did not converge within its limit; null where a fixed number of iterations is the
     /// rule and convergence is not asked for.
     pub not_converged: Option<u64>,
-    /// Newton iterations per step.
+    /// Newton iterations per step; null where a fixed number of them is the rule.
     pub newton: Newton,
     /// Distances, one entry per obstacle.
     pub obstacles: Vec<ObstacleSummary>,

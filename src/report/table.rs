@@ -23,27 +23,21 @@ pub fn summary_table(s: &Summary) -> String {
     let time =
         |p: Option<Percentiles>| p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max));
     row("steps", format!("{} of {} s, lookahead {} s, seed {}", s.ticks, s.period_s, s.lookahead_s, s.seed));
-    if let Some(n) = s.not_converged {
-        row("steps not converged", n.to_string());
-    }
+    row("steps not converged", s.not_converged.map_or("-".into(), |n| n.to_string()));
     row("Newton iterations, safe", count(s.newton.safe));
     row("Newton iterations, warning", count(s.newton.warning));
     for o in &s.obstacles {
         row(
             &format!("{}: least surface distance, whole arm", o.id),
-            format!("{:.2} mm at {} s{}", 1e3 * o.surface_distance_min_m, o.at_s, inside(&o.inside_s)),
+            nearest(o.surface_distance_min_m, o.at_s, &o.inside_s),
         );
         row(
             &format!("{}: at the paper's points", o.id),
-            format!(
-                "{:.2} mm at {} s{}",
-                1e3 * o.points.surface_distance_min_m,
-                o.points.at_s,
-                inside(&o.points.inside_s)
-            ),
+            nearest(o.points.surface_distance_min_m, o.points.at_s, &o.points.inside_s),
         );
     }
-    row("tensions", format!("{:.3} to {:.3} N", s.tension_n.min, s.tension_n.max));
+    let tensions = format!("{:.3} to {:.3} N", s.tension_n.min, s.tension_n.max);
+    row("tensions", if s.ticks > 0 { tensions } else { "-".into() });
     for (cable, at) in &s.tension_n.saturated {
         row(&format!("cable {cable} at its bound"), format!("from {} s, {} steps", at.first_s, at.ticks));
     }
@@ -110,6 +104,11 @@ fn short(v: &Value) -> String {
         Value::Object(o) if o.is_empty() => "none".into(),
         Value::Object(o) => o.iter().map(|(k, v)| format!("{k} {}", short(v))).collect::<Vec<_>>().join(", "),
     }
+}
+
+/// A least distance; a run that ended before it began has none.
+fn nearest(distance_m: f64, at_s: f64, inside_s: &[[f64; 2]]) -> String {
+    if distance_m.is_finite() { format!("{:.2} mm at {at_s} s{}", 1e3 * distance_m, inside(inside_s)) } else { "-".into() }
 }
 
 fn inside(intervals: &[[f64; 2]]) -> String {

@@ -220,12 +220,12 @@ impl Plant {
     /// Serves before this returns: its buses are open.
     pub fn start(place: &Place, lockstep: bool, faults: &[&str]) -> Self {
         let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
-        settings.seed = 7;
+        settings.truth.seed = 7;
         if lockstep {
             settings.pace = sim_plant::config::Pace::Lockstep;
         }
         let faults: Vec<FaultSpec> = faults.iter().map(|f| f.parse().unwrap()).collect();
-        let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.seed).unwrap();
+        let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.truth.seed).unwrap();
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
         let server = Server::open(&config, &settings, rig, schedule, None).unwrap();
         let stop = Arc::new(AtomicBool::new(false));

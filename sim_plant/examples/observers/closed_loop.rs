@@ -7,7 +7,8 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::truth::{Truth, TruthSettings};
 use sinew::collision::{Body, BodyGeometry};
-use sinew::config::{ArmConfig, BodyModel, ObserverConfig, PlannerConfig};
+use sinew::config::{ArmConfig, BodyModel, FrictionConfig, ObserverConfig, PlannerConfig};
+use sinew::control::FrictionCompensation;
 use sinew::estimator::Observer;
 use sinew::model::Arm;
 use sinew::planner::{Branch, Inputs, Planner};
@@ -45,6 +46,7 @@ pub struct Settings {
     pub planner: PlannerConfig,
     /// Time by which the target is sampled ahead of the end of the lookahead (s).
     pub lead: f64,
+    pub friction: FrictionConfig,
     pub duration: f64,
     pub short: f64,
     pub trace: Option<std::path::PathBuf>,
@@ -156,9 +158,10 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let mut trace = settings
         .trace
         .as_ref()
-        .filter(|_| case == Case::Obstacles)
         .map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
 
+    let mut friction = FrictionCompensation::new(&settings.friction, &arm, h);
+    let mut command = start.tensions.clone();
     let mut u = start.tensions.clone();
     let mut outcome =
         Outcome { distance_points: (f64::INFINITY, 0.0), distance_arm: (f64::INFINITY, 0.0), ..Default::default() };
@@ -221,8 +224,12 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         outcome.estimate_error = outcome.estimate_error.max(estimate_error);
         let next = planner.tensions();
         let change: f64 = next.iter().zip(&u).map(|(a, b)| (a - b).powi(2)).sum();
-        u.copy_from_slice(next);
-        if let Err(error) = truth.step(&u, h) {
+        friction.update(&arm, observer.predicted(), planner.planned());
+        for ((command, u), (next, factor)) in command.iter_mut().zip(&mut u).zip(next.iter().zip(friction.factors())) {
+            *command = (next / factor).clamp(settings.arm.tension_n_min, settings.arm.tension_n_max);
+            *u = *command * factor;
+        }
+        if let Err(error) = truth.step(&command, h) {
             outcome.failed = Some(format!("plant at {time:.2} s: {error}"));
             break;
         }
@@ -260,20 +267,25 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
             if along < outcome.distance_arm.0 {
                 outcome.distance_arm = (along, time);
             }
-            if let Some(file) = &mut trace {
-                writeln!(
-                    file,
-                    "{time:.3},{error:.6},{along:.6},{:.6},{:.6},{:.6},{},{},{:.4},{:.4}",
-                    report.distance_min,
-                    estimate_error,
-                    update.innovation_max,
-                    u8::from(report.branch == Branch::Warning),
-                    u8::from(report.relaxed),
-                    change.sqrt(),
-                    report.kkt_residual,
-                )
-                .unwrap();
-            }
+        }
+        if let Some(file) = &mut trace {
+            writeln!(
+                file,
+                "{time:.3},{error:.6},{:.6},{:.6},{:.6},{},{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.4},{:.4},{:.4},{:.4},{:.4}",
+                report.distance_min,
+                estimate_error,
+                update.innovation_max,
+                u8::from(report.branch == Branch::Warning),
+                u8::from(report.relaxed),
+                change.sqrt(),
+                report.kkt_residual,
+                tip.position.x-scenario.position(time).x, tip.position.y-scenario.position(time).y, tip.position.z-scenario.position(time).z,
+                u.iter().copied().fold(0.0,f64::max), u.iter().copied().fold(f64::INFINITY,f64::min),
+                observer.disturbance_moments().iter().map(|b|b.abs()).fold(0.0,f64::max),
+                (tip.quaternion - Scenario::quaternion()).norm().min((tip.quaternion + Scenario::quaternion()).norm()),
+                update.rate_max,
+            )
+            .unwrap();
         }
         if !scenario.is_tip() {
             let wanted = scenario.curvatures();

@@ -94,6 +94,12 @@ struct Arguments {
     /// Largest rate of a tension (N/s).
     #[arg(long)]
     rate_max: Option<f64>,
+    #[arg(long, default_value_t = 0.0)]
+    mu: f64,
+    #[arg(long, default_value_t = 2e-3)]
+    mu_speed: f64,
+    #[arg(long, default_value_t = 0.05)]
+    mu_time: f64,
     #[arg(long, default_value_t = 2)]
     threads: usize,
     /// Print a line for every run.
@@ -128,6 +134,7 @@ impl Arguments {
             filter: self.filter,
             disturbance_time: self.disturbance_time,
             rate_max: self.rate_max,
+            friction: sinew::config::FrictionConfig { coefficient: self.mu, speed_mps: self.mu_speed, time_s: self.mu_time },
             trace: self.trace.clone(),
         }
     }

@@ -33,6 +33,7 @@ pub struct Choice {
     pub disturbance_time: f64,
     /// N/s; `None` for the arm's.
     pub rate_max: Option<f64>,
+    pub friction: sinew::config::FrictionConfig,
     pub trace: Option<std::path::PathBuf>,
 }
 
@@ -56,6 +57,7 @@ impl Default for Choice {
             filter: 0.3,
             disturbance_time: 0.4,
             rate_max: None,
+            friction: sinew::config::FrictionConfig::NONE,
             trace: None,
         }
     }
@@ -123,6 +125,7 @@ impl Choice {
             observer,
             planner,
             lead,
+            friction: self.friction.clone(),
             duration: self.duration,
             short: self.short,
             trace: self.trace.clone(),

@@ -2,7 +2,7 @@
 //!
 //! Enters: the plant's trace and the daemon's records. Leaves: a summary. Distances, tip error and curvature error are
 //! the true arm's against the scenario at that time; tensions are those that the drums were told; iterations, times and
-//! faults are the daemon's.
+//! faults are the daemon's. The judgement ends with the first fault: from there on the controller no longer moves the arm.
 //!
 //! The two files meet in time. In real time both carry CLOCK_MONOTONIC. In lockstep the plant counts SYNCs and the daemon
 //! ticks, and the SYNCs before the first tick are not known: the two are laid beside each other so that the tensions of
@@ -98,13 +98,16 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         truths.iter().map(|t| (t.capture_ns as f64 - origin_ns as f64) * 1e-9).collect()
     };
 
+    let fault = records[first..].iter().find(|r| r.fault.0 != 0);
+    let fault_s = fault.map_or(f64::INFINITY, |r| (r.capture_ns as f64 - origin_ns as f64) * 1e-9);
+    let end_s = setup.duration_s.min(fault_s) + 0.5 * period_s;
     let mut collector = collector(setup);
     let mut judge = Judge::new(setup)?;
     let mut tick = records.iter().position(|r| r.capture_ns >= origin_ns).unwrap_or(records.len());
     let mut reached_s = 0.0;
     for (truth, &t) in truths.iter().zip(&truth_s) {
         // Half a period: times are multiples of it only up to rounding.
-        if t < 0.5 * period_s || t > setup.duration_s + 0.5 * period_s {
+        if t < 0.5 * period_s || t > end_s {
             continue;
         }
         // The newest tick before this state.
@@ -118,7 +121,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         judge.add(&mut collector, truth, t, record, lockstep)?;
     }
     let within =
-        |r: &&Record| (r.capture_ns.saturating_sub(origin_ns)) as f64 * 1e-9 <= setup.duration_s + 0.5 * period_s;
+        |r: &&Record| (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
     let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
     collector.set_missed(missed);

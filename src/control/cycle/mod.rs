@@ -7,8 +7,9 @@ mod report;
 
 use super::budget::{Deadline, Phase};
 use super::estimator::{Estimate, Estimator};
+use super::friction::FrictionCompensation;
 use super::fault::{Fault, FaultList, Limit, Limits};
-use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard};
+use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVerdict};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::Record;
@@ -20,7 +21,7 @@ use super::target::{Target, TargetInput, lag_s};
 use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
-use crate::model::Arm;
+use crate::model::{Arm, State};
 use crate::planner::{Goal, Inputs, Planner, Report, Status};
 use nalgebra::{Vector3, Vector4};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -32,6 +33,11 @@ pub trait Plan {
 
     /// Tensions of the last plan (N), one per cable.
     fn tensions(&self) -> &[f64];
+
+    /// State at the end of the last plan's step; `None` where the planner has no model.
+    fn planned(&self) -> Option<&State> {
+        None
+    }
 }
 
 impl Plan for Planner {
@@ -41,6 +47,10 @@ impl Plan for Planner {
 
     fn tensions(&self) -> &[f64] {
         Self::tensions(self)
+    }
+
+    fn planned(&self) -> Option<&State> {
+        Some(Self::planned(self))
     }
 }
 
@@ -99,6 +109,7 @@ pub struct Cycle<E, P = Planner> {
     supervisor: Supervisor,
     encoders: EncoderGuard,
     tensions: TensionGuard,
+    friction: FrictionCompensation,
     ramp: Ramp,
     body: Body,
     period_ns: u64,
@@ -117,7 +128,10 @@ pub struct Cycle<E, P = Planner> {
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
+    /// What acts along the cables' routes: what planner and observer think in.
     sent: Vec<f64>,
+    /// What the drums are told: [`Self::sent`], and what friction takes.
+    commanded: Vec<f64>,
     applied: Vec<f64>,
     curvatures: [f64; CURVATURES_MAX],
     curvature_rates: [f64; CURVATURES_MAX],
@@ -169,6 +183,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             supervisor: Supervisor::new(&settings.timing, &settings.observer),
             encoders: EncoderGuard::new(&settings.guard, cables, settings.timing.period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
+            friction: FrictionCompensation::new(&settings.friction, &arm, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
@@ -188,6 +203,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
             sent: vec![0.0; cables],
+            commanded: vec![0.0; cables],
             applied: vec![0.0; cables],
             curvatures: [0.0; CURVATURES_MAX],
             curvature_rates: [0.0; CURVATURES_MAX],
@@ -215,7 +231,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
 
     /// Tensions to send (N), one per cable: finite and inside the box; zero while the drives are off.
     pub fn tensions_n(&self) -> &[f64] {
-        &self.sent
+        &self.commanded
     }
 
     /// Present mode.
@@ -521,6 +537,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         } else {
             self.singular_in_row = 0;
             self.proposed.copy_from_slice(planner.tensions());
+            if let Some(planned) = planner.planned() {
+                self.friction.update(&self.arm, self.estimator.predicted(), planned);
+            }
         }
         if report.status == Status::BudgetSpent {
             limits.insert(Limit::BudgetSpent);
@@ -535,14 +554,18 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     fn check(&mut self, decision: &Decision, limits: &mut Limits) -> Option<Fault> {
         if decision.action == Action::Off {
             // Nothing leaves but zero: no box, no rate.
+            self.friction.rest();
             self.sent.fill(0.0);
+            self.commanded.fill(0.0);
             return None;
         }
         // The box holds once the cables are tight; before that, and where a start was cut short, it begins at zero.
         let tight = self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent >= safe);
         let floor = if tight && decision.action != Action::Tighten { Floor::Box } else { Floor::Zero };
-        self.applied.copy_from_slice(&self.sent);
-        let verdict = self.tensions.check(&self.proposed, &self.applied, floor, &mut self.sent);
+        if !matches!(decision.action, Action::Hold | Action::Home | Action::Track) {
+            self.friction.rest();
+        }
+        let verdict = self.send(floor);
         if verdict.limited > 0 {
             limits.insert(Limit::RateLimited);
         }
@@ -557,8 +580,27 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         self.ramp.end();
         self.ramp.begin(&self.sent, inputs.now_ns.saturating_sub(self.period_ns));
         self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
-        self.applied.copy_from_slice(&self.sent);
-        self.tensions.check(&self.proposed, &self.applied, Floor::Zero, &mut self.sent);
+        self.friction.rest();
+        self.send(Floor::Zero);
+    }
+
+    /// Judges `proposed` with what friction takes added, and moves it to `commanded` and `sent`.
+    fn send(&mut self, floor: Floor) -> TensionVerdict {
+        if self.friction.is_active() {
+            let (low, high) = (self.settings.arm.tension_n_min, self.settings.arm.tension_n_max);
+            for (u, factor) in self.proposed.iter_mut().zip(self.friction.factors()) {
+                // What lies outside the box as it is planned stays so, for the guard to see.
+                if (low..=high).contains(u) {
+                    *u = (*u / factor).clamp(low, high);
+                }
+            }
+        }
+        self.applied.copy_from_slice(&self.commanded);
+        let verdict = self.tensions.check(&self.proposed, &self.applied, floor, &mut self.commanded);
+        for ((sent, u), factor) in self.sent.iter_mut().zip(&self.commanded).zip(self.friction.factors()) {
+            *sent = u * factor;
+        }
+        verdict
     }
 
     /// The record, for the caller to fill in the timing.

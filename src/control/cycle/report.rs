@@ -26,7 +26,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.innovation_max_rad = if self.observing { self.estimate.innovation_max_rad } else { f64::NAN };
 
         r.cable_count = cables;
-        r.tension_command_n[..cables].copy_from_slice(&self.sent);
+        r.tension_command_n[..cables].copy_from_slice(&self.commanded);
         r.tension_measured_n.fill(f64::NAN);
         copy(inputs.tensions_measured_n, &mut r.tension_measured_n[..cables]);
         r.cable_length_m[..cables].copy_from_slice(self.encoders.lengths_m());

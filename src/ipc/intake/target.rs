@@ -2,7 +2,7 @@
 
 use super::encoders::admit;
 use super::{InputLimits, SourceLog, check, elapsed_s, seconds_to_ns};
-use crate::ipc::payload::{MAX_CURVATURES, NO_TICK, RejectCause, SourceReport, Target, TargetMode};
+use crate::ipc::payload::{MAX_CURVATURES, NO_TICK, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Points kept: 0.6 s ahead at 100 Hz, with the one in use.
@@ -129,11 +129,7 @@ impl TargetTrack {
             Some(_) => Some(beyond(from, mode, at_ns, limits)),
             None => {
                 let mut sample = beyond(from, mode, at_ns, limits);
-                let moving = match mode {
-                    TargetMode::Tip => from.velocity_mps.iter().chain(&from.angular_velocity_radps).any(|&v| v != 0.0),
-                    TargetMode::Shape => from.curvature_rate_1pms[..2 * self.segment_count].iter().any(|&v| v != 0.0),
-                };
-                if moving {
+                if self.moves(from, mode) {
                     sample.overrun_s = elapsed_s(start_ns(from), at_ns);
                 }
                 Some(sample)
@@ -141,9 +137,24 @@ impl TargetTrack {
         }
     }
 
-    /// The record for `State::target_report`.
+    /// Whether a point asks for motion beyond its own time.
+    fn moves(&self, point: &Target, mode: TargetMode) -> bool {
+        match mode {
+            TargetMode::Tip => point.velocity_mps.iter().chain(&point.angular_velocity_radps).any(|&v| v != 0.0),
+            TargetMode::Shape => point.curvature_rate_1pms[..2 * self.segment_count].iter().any(|&v| v != 0.0),
+        }
+    }
+
+    /// The record for `State::target_report`. A source that is silent because its target stands still is not stale.
     pub fn report(&self, now_ns: u64, limits: &InputLimits) -> SourceReport {
-        self.log.report(now_ns, limits)
+        let mut report = self.log.report(now_ns, limits);
+        let old = [SourceHealth::Stale, SourceHealth::Expired].map(SourceHealth::wire).contains(&report.health);
+        let last = self.points[..self.count].last().filter(|last| last.valid_from_ns <= now_ns);
+        let stands = |last: &Target| TargetMode::from_wire(last.mode).is_some_and(|mode| !self.moves(last, mode));
+        if old && last.is_some_and(stands) {
+            report.health = SourceHealth::Held.wire();
+        }
+        report
     }
 
     /// Whether the target of `tick` or later is here (lockstep).

@@ -34,6 +34,24 @@ fn a_set_point_is_valid_at_once_and_held() {
 }
 
 #[test]
+fn a_set_point_that_is_held_is_not_called_expired_and_a_silent_path_is() {
+    let health = |vx: f64, from_ns: u64, after_ns: u64| {
+        let mut track = TargetTrack::new(4);
+        accept(&mut track, &point(0, from_ns, 0.3, vx));
+        SourceHealth::from_wire(track.report(NOW + after_ns, &limits()).health).unwrap()
+    };
+    assert_eq!(health(0.0, 0, 0), SourceHealth::Fresh);
+    assert_eq!(health(0.0, 0, 3600 * SECOND), SourceHealth::Held);
+    assert_eq!(health(0.1, 0, 3600 * SECOND), SourceHealth::Expired);
+    // Not yet in force, and its sender is silent.
+    assert_eq!(health(0.0, NOW + 7200 * SECOND, 3600 * SECOND), SourceHealth::Expired);
+    let mut track = TargetTrack::new(4);
+    accept(&mut track, &point(0, 0, 0.3, 0.0));
+    track.clear();
+    assert_eq!(track.report(NOW + 3600 * SECOND, &limits()).health, SourceHealth::Expired.wire());
+}
+
+#[test]
 fn a_point_is_not_followed_before_its_time() {
     let mut track = TargetTrack::new(4);
     accept(&mut track, &point(0, NOW + SECOND, 0.3, 0.0));

@@ -133,6 +133,8 @@ wire_enum! {
         Stale = 2, "stale";
         /// Older than `hold_after`: the arm is asked to hold.
         Expired = 3, "expired";
+        /// A target that stands still and is held: its age does not matter.
+        Held = 4, "held";
     }
 }
 

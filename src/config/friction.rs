@@ -1,0 +1,60 @@
+//! `[friction]`: friction of the cables along their route, as far as the controller makes up for it.
+
+use super::reader::Section;
+use super::schema::{Key, Kind, Range, TableSpec};
+use serde::Serialize;
+
+/// What the controller knows of its cables' friction.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrictionConfig {
+    /// Capstan coefficient mu of `exp(-mu angle)`; 0 for no compensation.
+    pub coefficient: f64,
+    /// Planned rate of a cable (m/s) at which three quarters of the friction is made up for.
+    pub speed_mps: f64,
+    /// Time constant with which the compensation follows a reversal (s).
+    pub time_s: f64,
+}
+
+impl FrictionConfig {
+    /// No compensation.
+    pub const NONE: Self = Self { coefficient: 0.0, speed_mps: 2e-3, time_s: 0.05 };
+}
+
+/// `[friction]`.
+pub static FRICTION: TableSpec = TableSpec {
+    header: "[friction]",
+    name: "friction",
+    about: "Friction of the cables along their route (capstan): a cable's tension falls by `exp(-coefficient angle)` over the bend that it has passed where it is pulled in, and rises so where it pays out. Commands are divided by that factor's mean along the route.",
+    keys: &[
+        Key::default(
+            "coefficient",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.0",
+            "Friction coefficient mu; 0 for no compensation. Too much of it makes the arm hunt, too little is made up for by the observer.",
+        ),
+        Key::default(
+            "speed_mps",
+            Kind::Float(Range::closed(1e-5, 1.0)),
+            "m/s",
+            "2e-3",
+            "Planned rate of a cable at which three quarters of the friction is made up for.",
+        ),
+        Key::default(
+            "time_s",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "s",
+            "0.05",
+            "Time constant with which the compensation follows a reversal.",
+        ),
+    ],
+};
+
+/// Reads `[friction]`.
+pub(super) fn read(table: &Section<'_>) -> FrictionConfig {
+    FrictionConfig {
+        coefficient: table.float("coefficient"),
+        speed_mps: table.float("speed_mps"),
+        time_s: table.float("time_s"),
+    }
+}
