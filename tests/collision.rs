@@ -294,36 +294,6 @@ fn bad_shapes_are_refused() {
 // ---------------------------------------------------------------- body
 
 #[test]
-fn points_are_the_golden_collision_points() {
-    let directory = std::env::var("SINEW_GOLDEN_DIR").unwrap_or("tests/golden".into());
-    let text = std::fs::read_to_string(format!("{directory}/states.json")).unwrap();
-    let file: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let numbers = |v: &serde_json::Value| -> Vec<f64> { serde_json::from_value(v.clone()).unwrap() };
-    let base = numbers(&file["params"]["base_p"]);
-    let tangent = |p: &[f64]| {
-        let [w, x, y, z] = [p[0], p[1], p[2], p[3]];
-        V::new(w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y))
-    };
-    let geometry = BodyGeometry::from_arm(&ArmConfig::paper());
-    let points = geometry.paper_points();
-    assert_eq!(points.len(), 43);
-    let states = file["states"].as_array().unwrap();
-    assert!(!states.is_empty());
-    for state in states {
-        let (mut r, mut t) = (vec![V::zeros()], vec![tangent(&base)]);
-        for node in numbers(&state["q"]).chunks_exact(7) {
-            r.push(V::from_column_slice(&node[..3]));
-            t.push(tangent(&node[3..]));
-        }
-        let expected = numbers(&state["collision_pts"]);
-        assert_eq!(expected.len(), 3 * points.len());
-        for (point, expected) in points.iter().zip(expected.chunks_exact(3)) {
-            assert!((point.combine(&r, &t) - V::from_column_slice(expected)).norm() < 1e-13);
-        }
-    }
-}
-
-#[test]
 fn pieces_stay_within_half_a_millimetre_of_their_chords() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(11);
     let mut worst = 0.0_f64;

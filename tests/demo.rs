@@ -6,6 +6,7 @@
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use sinew::ipc::payload::{SourceHealth, SupervisorState};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -131,6 +132,9 @@ fn a_short_run_prints_one_object_judged_by_the_true_arm_and_leaves_nothing() {
     }
     assert_eq!(object["ticks"], 500);
     assert_eq!(object["faults"], serde_json::json!([]));
+    // A fixed number of iterations is the rule here: what counts them does not apply, and is there all the same.
+    assert_eq!(object["newton"], serde_json::json!({"safe": null, "warning": null}));
+    assert!(keys.contains("not_converged") && object["not_converged"].is_null());
     assert_eq!(object["loop"]["missed"], 0);
     let error = &object["tip_error_m"];
     // The truth, not the estimate: never perfect, never far.
@@ -205,6 +209,68 @@ fn an_encoder_that_jumps_is_a_fault_in_the_report() {
     let object: Value = serde_json::from_slice(&output.stdout).unwrap();
     let faults = object["faults"].as_array().unwrap();
     assert!(faults.iter().any(|f| f.as_str().unwrap().contains("encoder")), "{faults:?}");
+    // The judgement ends there: 20 s of a limp arm would be 2000 ticks and a large error.
+    assert!(object["ticks"].as_u64().unwrap() < 500, "{}", object["ticks"]);
+}
+
+/// What the daemon's records say of the ticks of a run.
+struct Told {
+    mode: u64,
+    health: u64,
+    growth_m: f64,
+    tip_m: [f64; 3],
+}
+
+fn told(folder: &Path) -> Vec<Told> {
+    let mut found = Vec::new();
+    sinew::recording::read_each(&folder.join("daemon.mcap"), |message| {
+        if message.topic.ends_with("/state") {
+            let v = &message.value;
+            let growth = v["distances"].as_array().unwrap().iter().map(|d| d["growth_m"].as_f64().unwrap());
+            found.push(Told {
+                mode: v["supervisor"].as_u64().unwrap(),
+                health: v["obstacle_sources"][0]["health"].as_u64().unwrap_or(0),
+                growth_m: growth.fold(0.0, f64::max),
+                tip_m: std::array::from_fn(|i| v["tip_position_m"][i].as_f64().unwrap()),
+            });
+        }
+    })
+    .unwrap();
+    found
+}
+
+#[test]
+fn an_obstacle_client_that_is_killed_in_the_middle_of_avoiding_leads_to_growth_a_hold_and_no_contact() {
+    const FRESH: u64 = SourceHealth::Fresh as u64;
+    const TRACKING: u64 = SupervisorState::Tracking as u64;
+    const HOLDING: u64 = SupervisorState::Holding as u64;
+    // At 12 s of the scenario the arm gives way to the moving ball.
+    let arguments = ["tip", "--fast", "--json", "--duration", "18", "--kill-obstacle-client-at", "12"];
+    let (output, folder) = Demo::start(&arguments).end();
+    assert!(output.status.success(), "{}", text(&output));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["ticks"], 1800, "the arm is judged to the end");
+    assert_eq!(object["faults"], serde_json::json!([]));
+    for obstacle in object["obstacles"].as_array().unwrap() {
+        assert!(obstacle["surface_distance_min_m"].as_f64().unwrap() > 0.0, "{obstacle}");
+        assert_eq!(obstacle["inside_s"], serde_json::json!([]));
+    }
+    let told = told(folder.path());
+    let first = told.iter().position(|t| t.mode == TRACKING).unwrap();
+    let stale = first + told[first..].iter().position(|t| t.health != FRESH).expect("the source grows stale");
+    // 4 s of approach and 12 s, and the time until silence is noticed, in ticks of 10 ms; the kill itself is not bound to
+    // a tick.
+    assert!((1600..1800).contains(&(stale - first)), "{}", stale - first);
+    assert!(told[first..stale].iter().all(|t| t.mode == TRACKING));
+    let held = stale + told[stale..].iter().position(|t| t.mode == HOLDING).expect("the declared action: a hold");
+    // Meanwhile its obstacles grow.
+    assert!(told[held - 1].growth_m > told[stale - 2].growth_m + 1e-3, "{} m", told[held - 1].growth_m);
+    // From then on it holds: nothing tracks again, and the tip does not go on along its path (of 38 mm/s).
+    let end = held + told[held..].iter().position(|t| t.mode != HOLDING).unwrap_or(told.len() - held);
+    assert!(end - held > 100, "{}", end - held);
+    let away = |t: &Told| (0..3).map(|i| (t.tip_m[i] - told[held].tip_m[i]).powi(2)).sum::<f64>().sqrt();
+    let farthest = told[held..end].iter().map(away).fold(0.0, f64::max);
+    assert!(farthest < 0.05, "{farthest} m");
 }
 
 #[test]

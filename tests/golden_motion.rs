@@ -25,6 +25,14 @@ fn equilibria_for_given_tensions_agree() {
                 let mut lengths = vec![0.0; arm.cable_count()];
                 arm.cable_lengths_into(&state.q, &mut lengths);
                 assert_close(&format!("{what} lengths"), &lengths, &numbers(&case["cable_len"]), 1e-7);
+                let mut curvatures = vec![0.0; 2 * arm.segment_count()];
+                let mut rates = curvatures.clone();
+                arm.curvatures_into(&state.q, &state.qd, &mut curvatures, &mut rates);
+                let bent = numbers(&case["kappa_seg"]);
+                // A straight arm is compared on a scale of 1 mm of deviation over the arm.
+                let scale = bent.iter().fold(1e-3f64, |a, k| a.max(k.abs()));
+                let worst = curvatures.iter().zip(&bent).fold(0.0f64, |a, (x, y)| a.max((x - y).abs()));
+                assert!(worst <= 1e-7 * scale, "{what} kappa_seg {worst:.2e}");
                 let n = state.q.len();
                 assert_close(&format!("{what} tip"), &state.q[n - 7..], &numbers(&case["tip"]), 1e-7);
             }

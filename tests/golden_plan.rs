@@ -5,7 +5,7 @@ mod support;
 use nalgebra::{Vector3, Vector4};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
+use sinew::collision::{Body, BodyGeometry, Obstacle, ObstacleSet, Shape, pose};
 use sinew::config::{BodyModel, PlannerConfig, ShapeConfig, SwarmConfig, WarningBranch};
 use sinew::model::{Arm, State};
 use sinew::planner::{Goal, Inputs, Planner, Report, Status};
@@ -62,6 +62,8 @@ struct Outcome {
     report: Report,
     u: Vec<f64>,
     planned: State,
+    /// Surface distances of the planned arm's points, one per obstacle (m).
+    distances: Vec<f64>,
     cables: usize,
 }
 
@@ -72,7 +74,7 @@ fn plan(params: &serde_json::Value, case: &serde_json::Value, warning: WarningBr
     let shape = case["scenario"] == "shape";
     let (t, eta) = (number(&case["t"]), number(&case["eta"]));
     let avoid = case["avoid"].as_bool().unwrap();
-    let change: Vec<f64> = if shape { vec![2e6; 4] } else { (1..=4).map(|k| 1e4 * f64::from(k)).collect() };
+    let change: Vec<f64> = (1..=config.segments.len()).map(|k| if shape { 2e6 } else { 1e4 * k as f64 }).collect();
     let mut planner = Planner::new(&config, &settings(eta, avoid, shape, warning), 1.0, &change);
     let mut obstacles = ObstacleSet::new();
     for (k, c) in v("obstacles").chunks_exact(3).enumerate() {
@@ -91,7 +93,13 @@ fn plan(params: &serde_json::Value, case: &serde_json::Value, warning: WarningBr
     let inputs =
         Inputs { state: &state, u_previous: &v("u_prev"), disturbance: &[], goal, now: &obstacles, ahead: &obstacles };
     let report = planner.plan(&inputs, &mut Xoshiro256PlusPlus::seed_from_u64(seed), &mut || false);
-    Outcome { report, u: planner.tensions().to_vec(), planned: planner.planned().clone(), cables: arm.cable_count() }
+    let planned = planner.planned().clone();
+    let nodes = arm.node_count() + 1;
+    let (mut r, mut t) = (vec![Vector3::zeros(); nodes], vec![Vector3::zeros(); nodes]);
+    arm.frames_into(&planned.q, &mut r, &mut t);
+    let mut body = Body::new(&BodyGeometry::from_arm(&config), BodyModel::Points, 0.0);
+    let distances = body.measure(&r, &t, &obstacles).at_points.to_vec();
+    Outcome { report, u: planner.tensions().to_vec(), planned, distances, cables: arm.cable_count() }
 }
 
 fn cases() -> Vec<(String, serde_json::Value, serde_json::Value)> {
@@ -119,7 +127,15 @@ fn safe_and_complementarity_steps_reach_the_optimal_cost_and_tensions() {
         let worst = got.u.iter().zip(numbers(&case["u_opt"])).fold(0.0f64, |a, (x, y)| a.max((x - y).abs()));
         assert!(worst <= 1e-3, "{what}: tensions differ by {worst} N");
         assert_eq!(got.u.len(), got.cables);
+        // An interior-point solver's optimum of the full problem, where it found one: never below ours.
+        if let Some(bound) = case["ipopt_J"].as_f64() {
+            assert!(cost <= bound * (1.0 + 1e-6), "{what}: cost {cost} above IPOPT's {bound}");
+        }
         assert_close(&format!("{what} q1"), &got.planned.q, &numbers(&case["q1"]), 1e-6);
+        assert_close(&format!("{what} v1"), &got.planned.qd, &numbers(&case["v1"]), 1e-5);
+        assert_close(&format!("{what} lam1"), &got.planned.lambda, &numbers(&case["lam1"]), 1e-5);
+        let distances: Vec<f64> = got.distances.iter().map(|d| d + 0.1).collect();
+        assert_close(&format!("{what} dist_min"), &distances, &numbers(&case["dist_min"]), 1e-6);
         assert!(
             got.report.iterations as u64 <= case["newton"].as_u64().unwrap() + 1,
             "{what}: {} Newton iterations for {}",

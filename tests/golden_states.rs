@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 mod support;
 
+use nalgebra::Vector3;
 use serde_json::Value;
+use sinew::collision::BodyGeometry;
 use sinew::math::block_tridiagonal::BLOCK;
 use sinew::model::{Arm, Linearization, Motion, Rates};
 use support::*;
@@ -11,23 +13,17 @@ const TERM: f64 = 1e-9;
 
 fn sets() -> Vec<(String, Value, Vec<Value>, Option<Value>)> {
     let mut sets = Vec::new();
-    for (name, file) in golden_files("generator") {
-        if let Some(states) = file.get("states") {
-            sets.push((
-                name,
-                file["params"].clone(),
-                states.as_array().unwrap().clone(),
-                file.get("par_node").cloned(),
-            ));
-        } else if let Some(variants) = file.get("variants") {
-            for v in variants.as_array().unwrap() {
-                sets.push((
-                    format!("{name}/{}", v["name"].as_str().unwrap()),
-                    v["params"].clone(),
-                    v["states"].as_array().unwrap().clone(),
-                    v.get("par_node").cloned(),
-                ));
-            }
+    let mut add = |name: String, set: &Value| {
+        let states = set["states"].as_array().unwrap().clone();
+        assert!(!states.is_empty(), "{name} has no states");
+        sets.push((name, set["params"].clone(), states, set.get("par_node").cloned()));
+    };
+    for (name, file) in golden_files("states") {
+        add(name, &file);
+    }
+    for (name, file) in golden_files("variants") {
+        for variant in file["variants"].as_array().unwrap() {
+            add(format!("{name}/{}", variant["name"].as_str().unwrap()), variant);
         }
     }
     assert!(!sets.is_empty());
@@ -151,4 +147,48 @@ fn the_total_tangent_agrees_in_a_random_direction() {
             }
         }
     }
+}
+
+/// The first column of R(p), homogeneous: the tangent of a node whose quaternion need not be of unit length.
+fn tangent([w, x, y, z]: [f64; 4]) -> Vector3<f64> {
+    Vector3::new(w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y))
+}
+
+#[test]
+fn collision_points_agree() {
+    let mut checked = 0;
+    for (set, params, states, _) in sets() {
+        let config = arm_config(&params);
+        let geometry = BodyGeometry::from_arm(&config);
+        // The reference ends every segment but the last with a connector's end, be its length 0 or not; without a
+        // connector that is the node once more, and no point of its own here.
+        let elements = params["n_e"].as_u64().unwrap() as usize;
+        let segments = params["n_seg"].as_u64().unwrap() as usize;
+        let bare = number(&params["L_con"]) == 0.0;
+        for (k, s) in states.iter().enumerate() {
+            let Some(want) = s.get("collision_pts") else { continue };
+            let want = numbers(want);
+            let (mut r, mut t) = (vec![Vector3::zeros()], vec![tangent(config.base_quaternion)]);
+            for node in numbers(&s["q"]).chunks_exact(7) {
+                r.push(Vector3::from_column_slice(&node[..3]));
+                t.push(tangent(node[3..].try_into().unwrap()));
+            }
+            let mut got = Vec::new();
+            let mut points = geometry.paper_points().into_iter().map(|p| p.combine(&r, &t));
+            for element in 0..elements * segments {
+                got.extend(points.next().unwrap().iter());
+                let node = points.next().unwrap();
+                got.extend(node.iter());
+                let ends_segment = (element + 1) % elements == 0 && element + 1 < elements * segments;
+                if ends_segment {
+                    let end = if bare { node } else { points.next().unwrap() };
+                    got.extend(end.iter());
+                }
+            }
+            assert!(points.next().is_none(), "{set} state {k}: more points than the reference");
+            assert_close(&format!("{set} state {k} collision_pts"), &got, &want, TERM);
+            checked += 1;
+        }
+    }
+    assert!(checked > 0);
 }

@@ -57,7 +57,8 @@ use std::path::PathBuf;
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
 /// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] = &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC];
+pub static TABLES: &[&TableSpec] =
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC];
 
 /// What the daemon's files may hold.
 static KNOWN_TABLES: &[&TableSpec] =

@@ -111,7 +111,8 @@ mod tests {
         let config = FrictionConfig { coefficient: MU, speed_mps: 1e-6, time_s: 0.01 };
         let (arm, state) = bent(1.0);
         let factors = settled(&config, &arm, &state);
-        let mean = |sign: f64| (0..5).map(|i| (-sign * MU * 0.65 * (f64::from(i) + 0.5) / 5.0).exp()).sum::<f64>() / 5.0;
+        let mean =
+            |sign: f64| (0..5).map(|i| (-sign * MU * 0.65 * (f64::from(i) + 0.5) / 5.0).exp()).sum::<f64>() / 5.0;
         let mut rates = vec![0.0; 24];
         arm.cable_rates_into(&state.q, &state.qd, &mut rates);
         for cable in 0..6 {

@@ -1,6 +1,8 @@
 //! Everything that the cycle is built from.
 
-use crate::config::{ArmConfig, Config, FrictionConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig};
+use crate::config::{
+    ArmConfig, Config, FrictionConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig,
+};
 
 /// Settings of a [`super::Cycle`], checked where they were read.
 #[derive(Debug, Clone, PartialEq)]

@@ -108,7 +108,11 @@ fn short(v: &Value) -> String {
 
 /// A least distance; a run that ended before it began has none.
 fn nearest(distance_m: f64, at_s: f64, inside_s: &[[f64; 2]]) -> String {
-    if distance_m.is_finite() { format!("{:.2} mm at {at_s} s{}", 1e3 * distance_m, inside(inside_s)) } else { "-".into() }
+    if distance_m.is_finite() {
+        format!("{:.2} mm at {at_s} s{}", 1e3 * distance_m, inside(inside_s))
+    } else {
+        "-".into()
+    }
 }
 
 fn inside(intervals: &[[f64; 2]]) -> String {

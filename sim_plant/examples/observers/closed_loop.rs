@@ -10,7 +10,8 @@ use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{ArmConfig, BodyModel, FrictionConfig, ObserverConfig, PlannerConfig};
 use sinew::control::FrictionCompensation;
 use sinew::estimator::Observer;
-use sinew::model::Arm;
+use sinew::integrator::{Stepper, consistent_start, equilibrium};
+use sinew::model::{Arm, State};
 use sinew::planner::{Branch, Inputs, Planner};
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -30,8 +31,12 @@ pub enum Case {
     Free,
     /// Along the path with obstacles.
     Obstacles,
+    /// The same with the demo's clearance of 10 mm.
+    Wide,
     /// Capstan friction mu = 0.1, no obstacles, no lead.
     Friction,
+    /// The same with friction made up for in the commands.
+    Compensated,
     /// One tick of latency, compensated; no obstacles, with lead.
     Latency,
     /// Half of (44) held.
@@ -46,7 +51,8 @@ pub struct Settings {
     pub planner: PlannerConfig,
     /// Time by which the target is sampled ahead of the end of the lookahead (s).
     pub lead: f64,
-    pub friction: FrictionConfig,
+    pub open_loop: bool,
+    pub compensation: f64,
     pub duration: f64,
     pub short: f64,
     pub trace: Option<std::path::PathBuf>,
@@ -118,12 +124,21 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let scenario = if case == Case::Half { &half } else { &settings.scenario };
     let arm = Arm::new(&settings.arm);
     let mut planner_config = settings.planner.clone();
-    planner_config.avoidance = case == Case::Obstacles;
+    let avoids = matches!(case, Case::Obstacles | Case::Wide);
+    planner_config.avoidance = avoids;
+    if case == Case::Wide {
+        planner_config.clearance_m = 0.01;
+    }
     let mut observer_config = settings.observer.clone();
     let mut plant = TruthSettings::study(seed);
     plant.step_s = plant.step_s.min(planner_config.period_s);
+    let mut friction_config = FrictionConfig::NONE;
     match case {
         Case::Friction => plant.capstan_friction = 0.1,
+        Case::Compensated => {
+            plant.capstan_friction = 0.1;
+            friction_config.coefficient = settings.compensation;
+        }
         Case::Latency => {
             plant.latency_ticks = 1;
             observer_config.latency_ticks = 1;
@@ -132,12 +147,12 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     }
     let h = planner_config.period_s;
     let lead = match case {
-        Case::Friction => 0.0,
+        Case::Friction | Case::Compensated => 0.0,
         _ if scenario.is_tip() => settings.lead,
         _ => 0.0,
     };
     let duration = match case {
-        Case::Obstacles => settings.duration,
+        Case::Obstacles | Case::Wide | Case::Friction | Case::Compensated => settings.duration,
         // The rate weights make the shape task approach its target with a time constant of 20 s.
         Case::Half => HALF_S,
         _ => settings.short,
@@ -146,7 +161,17 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let mut truth = Truth::new(&settings.arm, &plant);
     truth.start_at_equilibrium(&start.tensions, &start.curvatures).expect("the plant rests");
     let mut observer = Observer::new(&settings.arm, &observer_config, h);
-    observer.start(truth.lengths(), &[], &start.tensions).expect("the observer starts");
+    let measured = vec![!settings.open_loop; arm.cable_count()];
+    if settings.open_loop {
+        // Its own equilibrium under the same tensions is all that it knows.
+        let mut state = State::at_rest(arm.bent(&start.curvatures));
+        let mut stepper = Stepper::new(&arm);
+        equilibrium(&arm, &mut stepper, &start.tensions, &mut state).expect("the model rests");
+        consistent_start(&arm, &mut stepper, &start.tensions, &mut state).expect("the model rests");
+        observer.resume(&state);
+    } else {
+        observer.start(truth.lengths(), &[], &start.tensions).expect("the observer starts");
+    }
     let mut planner = Planner::new(&settings.arm, &planner_config, 1.0, &scenario.change());
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let geometry = BodyGeometry::from_arm(truth.config());
@@ -155,12 +180,9 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let nodes = truth.config().node_count() + 1;
     let (mut r, mut t) = (vec![Vector3::zeros(); nodes], vec![Vector3::zeros(); nodes]);
     let (mut now, mut ahead, mut here) = (scenario.obstacles(), scenario.obstacles(), scenario.obstacles());
-    let mut trace = settings
-        .trace
-        .as_ref()
-        .map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
+    let mut trace = settings.trace.as_ref().map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
 
-    let mut friction = FrictionCompensation::new(&settings.friction, &arm, h);
+    let mut friction = FrictionCompensation::new(&friction_config, &arm, h);
     let mut command = start.tensions.clone();
     let mut u = start.tensions.clone();
     let mut outcome =
@@ -174,7 +196,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     while (k as f64) * h < duration {
         let time = k as f64 * h;
         let clock = Instant::now();
-        let update = observer.update(&u, truth.lengths(), &[]);
+        let update = observer.update(&u, truth.lengths(), &measured);
         let spent = clock.elapsed();
         times[0] += spent;
         outcome.observer_time[1] = outcome.observer_time[1].max(spent);
@@ -255,7 +277,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
             let wanted = Scenario::quaternion();
             outcome.quaternion_error = outcome.quaternion_error.max((p - wanted).norm().min((p + wanted).norm()));
         }
-        if case == Case::Obstacles {
+        if avoids {
             truth.frames_into(&mut r, &mut t);
             scenario.move_obstacles(time, &mut here);
             let measured = body.measure(&r, &t, &here);
@@ -271,19 +293,13 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         if let Some(file) = &mut trace {
             writeln!(
                 file,
-                "{time:.3},{error:.6},{:.6},{:.6},{:.6},{},{},{:.4},{:.4},{:.6},{:.6},{:.6},{:.4},{:.4},{:.4},{:.4},{:.4}",
+                "{time:.3},{error:.6},{:.6},{estimate_error:.6},{:.6},{},{},{:.4},{:.4}",
                 report.distance_min,
-                estimate_error,
                 update.innovation_max,
                 u8::from(report.branch == Branch::Warning),
                 u8::from(report.relaxed),
                 change.sqrt(),
                 report.kkt_residual,
-                tip.position.x-scenario.position(time).x, tip.position.y-scenario.position(time).y, tip.position.z-scenario.position(time).z,
-                u.iter().copied().fold(0.0,f64::max), u.iter().copied().fold(f64::INFINITY,f64::min),
-                observer.disturbance_moments().iter().map(|b|b.abs()).fold(0.0,f64::max),
-                (tip.quaternion - Scenario::quaternion()).norm().min((tip.quaternion + Scenario::quaternion()).norm()),
-                update.rate_max,
             )
             .unwrap();
         }

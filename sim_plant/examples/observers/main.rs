@@ -1,6 +1,8 @@
 //! The closed-loop study of design section 6: observers against a plant that differs from their model.
 //!
-//! `cargo run --release -p sim_plant --example observers -- --scenario tip --seeds 5 --duration 100`
+//! `cargo run --release -p sim_plant --example observers -- --scenario tip --seeds 5`
+//!
+//! What it printed, and beside what, is in `README.md` of this folder.
 //!
 //! Observer, planner in receding use and plant run in one process, without bus and without clock: what is measured is
 //! the method, not the machine. Every run is deterministic from its seed.
@@ -33,8 +35,26 @@ enum Warning {
 /// Which observer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Kind {
-    /// Spring and damper in cable space.
+    /// The model alone, no measurement and no lead: what an observer has to be better than.
+    OpenLoop,
+    /// Spring and damper in cable space, with the gains of the command line (the shipped ones by default).
     Passive,
+    /// The same with K = EI/L and T_b = 2 s.
+    Slow,
+    /// The same with K = 3 EI/L and T_b = 1 s.
+    Fast,
+}
+
+impl Kind {
+    fn title(self, arguments: &Arguments) -> String {
+        let passive = |k: f64, t: f64| format!("passive, K = {k} EI/L, T_b = {t} s");
+        match self {
+            Self::OpenLoop => "open loop, no lead".into(),
+            Self::Passive => passive(arguments.stiffness_ratio, arguments.disturbance_time),
+            Self::Slow => passive(1.0, 2.0),
+            Self::Fast => passive(3.0, 1.0),
+        }
+    }
 }
 
 /// Closed-loop study of the observers.
@@ -51,11 +71,16 @@ struct Arguments {
     /// Length of the runs along the path (s).
     #[arg(long, default_value_t = 100.0)]
     duration: f64,
-    /// Length of the short runs: hold, free, friction, latency, half (s).
+    /// Length of the short runs: hold, free, latency (s).
     #[arg(long, default_value_t = 30.0)]
     short: f64,
     /// Rows to run.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "hold,free,obstacles,friction,latency,half")]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "hold,free,obstacles,wide,friction,compensated,latency,half"
+    )]
     rows: Vec<Case>,
     /// Observers to run.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "passive")]
@@ -66,8 +91,8 @@ struct Arguments {
     lookahead: f64,
     #[arg(long, default_value_t = 2)]
     iterations: usize,
-    /// Clearance between surfaces (m).
-    #[arg(long, default_value_t = 0.01)]
+    /// Clearance between surfaces (m) of the row `obstacles`; `wide` has 10 mm, as the demo.
+    #[arg(long, default_value_t = 0.005)]
     clearance: f64,
     /// Barrier's gamma per lookahead; 0 for none.
     #[arg(long, default_value_t = 0.3)]
@@ -94,24 +119,28 @@ struct Arguments {
     /// Largest rate of a tension (N/s).
     #[arg(long)]
     rate_max: Option<f64>,
-    #[arg(long, default_value_t = 0.0)]
-    mu: f64,
-    #[arg(long, default_value_t = 2e-3)]
-    mu_speed: f64,
-    #[arg(long, default_value_t = 0.05)]
-    mu_time: f64,
+    /// Friction coefficient that the controller makes up for in the row `compensated`; the plant's is 0.1.
+    #[arg(long, default_value_t = 0.1)]
+    compensation: f64,
+    /// Runs at a time.
     #[arg(long, default_value_t = 2)]
     threads: usize,
     /// Print a line for every run.
     #[arg(long)]
     each: bool,
-    /// Write a trace of the run with obstacles (t, tip error, distances, estimate's error) as CSV to this file.
+    /// Write a trace (t, tip error, distance, estimate's error, |z|, warning, relaxed, change, KKT residual) as CSV to this
+    /// file; meant for one row with one seed.
     #[arg(long)]
     trace: Option<std::path::PathBuf>,
 }
 
 impl Arguments {
-    fn choice(&self) -> Choice {
+    fn choice(&self, kind: Kind) -> Choice {
+        let (stiffness_ratio, disturbance_time) = match kind {
+            Kind::OpenLoop | Kind::Passive => (self.stiffness_ratio, self.disturbance_time),
+            Kind::Slow => (1.0, 2.0),
+            Kind::Fast => (3.0, 1.0),
+        };
         Choice {
             scenario: self.scenario,
             duration: self.duration,
@@ -128,13 +157,14 @@ impl Arguments {
                 Warning::Swarm => WarningBranch::Swarm,
             },
             points: self.points,
-            lead: self.lead,
-            stiffness_ratio: self.stiffness_ratio,
+            lead: if kind == Kind::OpenLoop { Some(0.0) } else { self.lead },
+            open_loop: kind == Kind::OpenLoop,
+            stiffness_ratio,
             damping: self.damping,
             filter: self.filter,
-            disturbance_time: self.disturbance_time,
+            disturbance_time,
             rate_max: self.rate_max,
-            friction: sinew::config::FrictionConfig { coefficient: self.mu, speed_mps: self.mu_speed, time_s: self.mu_time },
+            compensation: self.compensation,
             trace: self.trace.clone(),
         }
     }
@@ -151,17 +181,21 @@ fn main() {
         }
     }
     jobs.reverse();
+    let (count, begin) = (jobs.len(), std::time::Instant::now());
     let (jobs, done) = (Mutex::new(jobs), Mutex::new(Vec::<(Kind, Case, u64, Outcome)>::new()));
     std::thread::scope(|scope| {
         for _ in 0..arguments.threads.max(1) {
             scope.spawn(|| {
                 loop {
                     let Some((kind, case, seed)) = jobs.lock().unwrap().pop() else { return };
-                    let outcome = closed_loop::run(&arguments.choice().settings(), case, seed);
+                    let outcome = closed_loop::run(&arguments.choice(kind).settings(), case, seed);
                     if arguments.each {
                         println!("{kind:?} {case:?} seed {seed}: {}", outcome.line());
                     }
-                    done.lock().unwrap().push((kind, case, seed, outcome));
+                    let mut done = done.lock().unwrap();
+                    done.push((kind, case, seed, outcome));
+                    let spent = begin.elapsed().as_secs_f64();
+                    eprintln!("{:3} of {count} runs, {spent:.0} s: {kind:?} {case:?}, seed {seed}", done.len());
                 }
             });
         }

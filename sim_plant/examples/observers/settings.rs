@@ -33,7 +33,10 @@ pub struct Choice {
     pub disturbance_time: f64,
     /// N/s; `None` for the arm's.
     pub rate_max: Option<f64>,
-    pub friction: sinew::config::FrictionConfig,
+    /// The model in place of the observer.
+    pub open_loop: bool,
+    /// Friction coefficient that is made up for where a row asks for it.
+    pub compensation: f64,
     pub trace: Option<std::path::PathBuf>,
 }
 
@@ -46,7 +49,7 @@ impl Default for Choice {
             period: 0.01,
             lookahead: 0.1,
             iterations: 2,
-            clearance: 0.01,
+            clearance: 0.005,
             gamma: 0.3,
             activation: 0.15,
             warning: WarningBranch::Seeded,
@@ -57,7 +60,8 @@ impl Default for Choice {
             filter: 0.3,
             disturbance_time: 0.4,
             rate_max: None,
-            friction: sinew::config::FrictionConfig::NONE,
+            open_loop: false,
+            compensation: 0.1,
             trace: None,
         }
     }
@@ -73,8 +77,8 @@ impl Choice {
         let scheme = Scheme::new(arm.rho_inf);
         let lag = scenario.rate_over_pose() * scheme.gamma / (scheme.phi * self.lookahead);
         let observer = ObserverConfig {
-            model_damping_ratio: 2.5,
-            rho_inf: 0.0,
+            model_damping_ratio: if self.open_loop { 1.0 } else { 2.5 },
+            rho_inf: if self.open_loop { arm.rho_inf } else { 0.0 },
             stiffness_ratio: self.stiffness_ratio,
             damping_s: self.damping,
             filter_time_s: self.filter,
@@ -125,7 +129,8 @@ impl Choice {
             observer,
             planner,
             lead,
-            friction: self.friction.clone(),
+            open_loop: self.open_loop,
+            compensation: self.compensation,
             duration: self.duration,
             short: self.short,
             trace: self.trace.clone(),

@@ -3,7 +3,7 @@
 use crate::closed_loop::{Case, Outcome};
 use crate::{Arguments, Kind};
 
-/// Prints one column per observer; over several seeds the worst of each figure.
+/// Prints one column per observer, as Markdown; over several seeds the worst of each figure.
 pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
     let scenario = if arguments.scenario == crate::scenario::ScenarioName::Tip { "tip" } else { "shape" };
     println!(
@@ -34,17 +34,22 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
         let clearance = 1e3 * arguments.clearance;
         if arguments.scenario == crate::scenario::ScenarioName::Tip {
             row("holding the start pose, tip error".into(), mm(Case::Hold, &|o| o.tip_error[2]).map(|x| x + " mm"));
-            row("no obstacles, with lead, tip error mean / max".into(), pair(Case::Free));
+            row("no obstacles: tip error mean / max".into(), pair(Case::Free));
             row(
                 format!("obstacles, barrier {}, clearance {clearance} mm: tip error mean / max", arguments.gamma),
                 pair(Case::Obstacles),
             );
         }
-        let signed = |x: &Option<f64>| x.map(|x| format!("{:.2} mm", -1e3 * x));
-        let points = worst(Case::Obstacles, &|o| -o.distance_points.0);
-        let along = worst(Case::Obstacles, &|o| -o.distance_arm.0);
-        row("same: smallest true surface distance at the points".into(), signed(&points));
-        row("same: smallest true surface distance along the arm".into(), signed(&along));
+        let least = |case: Case, f: &dyn Fn(&Outcome) -> f64| worst(case, &|o| -f(o)).map(|x| -1e3 * x);
+        let show = |x: Option<f64>| x.map(|x| format!("{x:.2} mm"));
+        row(
+            "same: smallest true distance to a ball's centre (radius 100 mm), at the points".into(),
+            show(least(Case::Obstacles, &|o| o.distance_points.0).map(|x| x + 100.0)),
+        );
+        row(
+            "same: smallest true surface distance, along the whole arm".into(),
+            show(least(Case::Obstacles, &|o| o.distance_arm.0)),
+        );
         row("same: tip estimate's error, max".into(), mm(Case::Obstacles, &|o| o.estimate_error).map(|x| x + " mm"));
         row(
             "same: quaternion error, max".into(),
@@ -54,33 +59,35 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
             "same: tension roughness, rms per tick".into(),
             worst(Case::Obstacles, &|o| o.roughness).map(|x| format!("{x:.3} N")),
         );
+        if arguments.scenario == crate::scenario::ScenarioName::Tip {
+            row("obstacles, clearance 10 mm: tip error mean / max".into(), pair(Case::Wide));
+        }
+        row(
+            "clearance 10 mm: smallest true surface distance, along the whole arm".into(),
+            show(least(Case::Wide, &|o| o.distance_arm.0)),
+        );
         if arguments.scenario == crate::scenario::ScenarioName::Shape {
             row(
                 "same: curvature error at the end".into(),
                 worst(Case::Obstacles, &|o| o.curvature_error).map(|x| format!("{x:.4} 1/m")),
             );
         } else {
-            row("capstan friction mu = 0.1, no lead, tip error mean / max".into(), pair(Case::Friction));
-            row("one tick of latency, compensated, tip error mean / max".into(), pair(Case::Latency));
+            row("capstan friction mu = 0.1, no lead: tip error mean / max".into(), pair(Case::Friction));
+            row(format!("same, made up for with mu = {}", arguments.compensation), pair(Case::Compensated));
+            row("one tick of latency, compensated: tip error mean / max".into(), pair(Case::Latency));
         }
         row(
             "half of (44) held, curvature error".into(),
             worst(Case::Half, &|o| o.curvature_error).map(|x| format!("{x:.4} 1/m")),
         );
     }
-    let width = rows.iter().map(|(l, _)| l.len()).max().unwrap_or(0);
-    print!("{:width$}", "");
-    for kind in &arguments.observers {
-        print!("  {:>20}", format!("{kind:?}").to_lowercase());
+    let titles = arguments.observers.iter().map(|kind| kind.title(arguments));
+    println!("\n| | {} |", titles.collect::<Vec<_>>().join(" | "));
+    println!("|---|{}", "---|".repeat(arguments.observers.len()));
+    for (label, values) in &rows {
+        println!("| {label} | {} |", values.join(" | "));
     }
     println!();
-    for (label, values) in &rows {
-        print!("{label:width$}");
-        for value in values {
-            print!("  {value:>20}");
-        }
-        println!();
-    }
     for (kind, case, seed, outcome) in done {
         if let Some(why) = &outcome.failed {
             println!("FAILED {kind:?} {case:?} seed {seed}: {why}");

@@ -120,8 +120,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         reached_s = t;
         judge.add(&mut collector, truth, t, record, lockstep)?;
     }
-    let within =
-        |r: &&Record| (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
+    let within = |r: &&Record| (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
     let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
     collector.set_missed(missed);

@@ -7,8 +7,8 @@ mod report;
 
 use super::budget::{Deadline, Phase};
 use super::estimator::{Estimate, Estimator};
-use super::friction::FrictionCompensation;
 use super::fault::{Fault, FaultList, Limit, Limits};
+use super::friction::FrictionCompensation;
 use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVerdict};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
@@ -487,9 +487,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             Target::Tip { position_m, quaternion, .. } => {
                 Wanted::Tip { position: position_m, quaternion: quaternion.normalize(), weight: target.weight }
             }
-            Target::Shape { curvatures_1pm, .. } => {
-                Wanted::Shape { curvatures: curvatures_1pm, weight: target.weight }
-            }
+            Target::Shape { curvatures_1pm, .. } => Wanted::Shape { curvatures: curvatures_1pm, weight: target.weight },
         })
     }
 

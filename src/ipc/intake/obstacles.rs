@@ -243,7 +243,7 @@ impl ObstacleTable {
     pub fn demand(&self, now_ns: u64, limits: &InputLimits) -> ObstacleDemand {
         for slot in self.slots.iter().filter(|s| s.used) {
             let hold = match slot.log.health(now_ns, limits) {
-                SourceHealth::Fresh | SourceHealth::Stale => false,
+                SourceHealth::Fresh | SourceHealth::Held | SourceHealth::Stale => false,
                 SourceHealth::Absent => slot.declared,
                 SourceHealth::Expired => true,
             };
