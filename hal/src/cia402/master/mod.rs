@@ -67,19 +67,23 @@ impl Master {
         let addresses: Vec<_> = config
             .drives
             .iter()
-            .map(|d| Address {
+            .enumerate()
+            .map(|(i, d)| Address {
                 bus: d.bus,
                 node: d.node,
+                rank: config.rank(i).0,
                 torque_permille_max: i16::try_from(d.torque_permille_max).unwrap_or(i16::MAX),
             })
             .collect();
         let shared = Arc::new(Shared {
             controlwords: addresses.iter().map(|_| AtomicU16::new(0)).collect(),
             cycle: AtomicU64::new(0),
+            unsent: buses.iter().map(|_| AtomicU64::new(0)).collect(),
         });
         let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
-        let writer = CycleWriter { buses: handles, drives: addresses.clone(), shared: shared.clone() };
+        let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
+        let writer = CycleWriter::new(handles, addresses.clone(), layouts, shared.clone());
         Ok(Self {
             outbox: buses.iter().map(|_| VecDeque::with_capacity(256)).collect(),
             slots: addresses.iter().map(|_| Slot::new()).collect(),
@@ -163,6 +167,12 @@ impl Master {
     /// What is known of each drive, in the order of cables.
     pub fn status(&self) -> impl ExactSizeIterator<Item = &DriveStatus> {
         self.slots.iter().map(|s| &s.status)
+    }
+
+    /// Frames of cycles (RPDOs and SYNC) that the bus did not take since the master was made, whoever sent the cycles. In
+    /// the packed layout one frame stands for all drives of the bus. 0 for a bus that there is not.
+    pub fn unsent(&self, bus: usize) -> u64 {
+        self.shared.unsent.get(bus).map_or(0, |n| n.load(Ordering::Relaxed))
     }
 
     /// Faults since the last call, oldest first.
@@ -272,7 +282,7 @@ impl Master {
                 slot.boots += 1;
                 slot.status.phase = Phase::Configuring;
                 slot.heartbeat_ns = None;
-                let mut runner = Runner::new(&self.config, &self.config.drives[i]);
+                let mut runner = Runner::new(&self.config, i);
                 let first = runner.start(now_ns);
                 self.slots[i].runner = Some(runner);
                 self.advance(i, first, now_ns);
