@@ -175,8 +175,7 @@ impl MasterConfig {
             }
         }
         for bus in 0..buses {
-            let (found, most) =
-                (self.drives.iter().filter(|d| d.bus == bus).count(), self.layout(bus).drives_max());
+            let (found, most) = (self.drives.iter().filter(|d| d.bus == bus).count(), self.layout(bus).drives_max());
             if found > most {
                 return Err(SetupError::Full { bus, found, most });
             }

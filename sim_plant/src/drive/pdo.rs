@@ -103,9 +103,7 @@ pub fn frame_kind(dictionary: &ObjectDictionary) -> Kind {
 /// # Errors
 /// [`AbortCode::PDO_LENGTH`].
 pub fn check_format(dictionary: &ObjectDictionary, value: i64) -> Result<(), AbortCode> {
-    let too_long = |direction| {
-        (0..PDOS).any(|n| Pdo::of(dictionary, direction, n).mapping.len() > CLASSIC_MAX)
-    };
+    let too_long = |direction| (0..PDOS).any(|n| Pdo::of(dictionary, direction, n).mapping.len() > CLASSIC_MAX);
     let classic = value == i64::from(o::PDO_FORMAT_CLASSIC);
     if classic && (too_long(Direction::Receive) || too_long(Direction::Transmit)) {
         return Err(AbortCode::PDO_LENGTH);

@@ -6,8 +6,8 @@
 use super::super::config::Order;
 use super::super::fault::Fault;
 use super::super::state::{Command, FAULT_RESET_BIT, State};
-use super::status::{Goal, Phase};
 use super::Master;
+use super::status::{Goal, Phase};
 use std::sync::atomic::Ordering;
 
 impl Master {

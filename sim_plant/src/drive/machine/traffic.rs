@@ -170,7 +170,8 @@ impl Drive {
             }
             let payload = self.payload(n);
             let since = self.now_ns.saturating_sub(self.traffic.sent[n].1);
-            let changed = self.traffic.sent[n].2 != payload && (since >= pdo.inhibit_ns || self.traffic.sent[n].2.is_empty());
+            let changed =
+                self.traffic.sent[n].2 != payload && (since >= pdo.inhibit_ns || self.traffic.sent[n].2.is_empty());
             if changed || (pdo.event_ns != 0 && since >= pdo.event_ns) {
                 self.transmit(n, payload);
             }
