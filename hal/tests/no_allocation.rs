@@ -12,7 +12,7 @@ use sinew_hal::bus_config::{BusKind, BusSpec, open};
 use sinew_hal::can::{BusState, CanBus, Filter, Frame, Id, Kind};
 use sinew_hal::canopen::NodeId;
 use sinew_hal::cia402::objects::TPDO1;
-use sinew_hal::cia402::{DriveSetup, Event, Layout, Master, MasterConfig};
+use sinew_hal::cia402::{DriveSetup, Event, Layout as BusLayout, Master, MasterConfig};
 use sinew_hal::clock::{Clock, Lockstep, Monotonic, monotonic_ns};
 use sinew_hal::fault_shim::{Delay, FaultPlan, FaultShim};
 use sinew_hal::virtual_bus::VirtualBus;
@@ -147,7 +147,7 @@ fn exercise_receive(peer: &mut dyn CanBus, shim: &mut dyn CanBus) {
 }
 
 /// Cycles of 24 drives on four buses: torques out, answers in, some of them missing, some of them malformed.
-fn exercise_cycles(layout: Layout) {
+fn exercise_cycles(layout: BusLayout) {
     let node = |n: usize| NodeId::new(n as u8).unwrap();
     let drives = (0..24).map(|i| DriveSetup::new(i / 6, node(i % 6 + 1))).collect();
     let config = MasterConfig { layouts: vec![layout; 4], ..MasterConfig::new(drives, node(127), 1000) };
@@ -158,7 +158,7 @@ fn exercise_cycles(layout: Layout) {
     let handles = buses.into_iter().map(|b| Box::new(b) as Box<dyn CanBus>).collect();
     let mut master = Master::new(config, handles).unwrap();
     let (mut writer, mut decoder) = (master.take_writer().unwrap(), master.decoder());
-    let kind = if layout == Layout::Packed { Kind::Fd { bit_rate_switch: true } } else { Kind::Classic };
+    let kind = if layout == BusLayout::Packed { Kind::Fd { bit_rate_switch: true } } else { Kind::Classic };
     let len: usize = TPDO1.iter().map(|m| m.bytes()).sum();
     let answer = |n: u16, len: usize| Frame::new(Id::Standard(0x180 + n), kind, &[1; 8][..len]).unwrap();
     let (mut complete, mut heard) = (0, 0);
@@ -183,17 +183,17 @@ fn exercise_cycles(layout: Layout) {
     assert_eq!(count, 0);
     assert_eq!(complete, 1800);
     // RPDOs and SYNC.
-    assert_eq!(heard, 2000 * 4 * if layout == Layout::Packed { 2 } else { 7 });
+    assert_eq!(heard, 2000 * 4 * if layout == BusLayout::Packed { 2 } else { 7 });
 }
 
 #[test]
 fn a_cycle_of_the_classic_layout_allocates_nothing() {
-    exercise_cycles(Layout::Classic);
+    exercise_cycles(BusLayout::Classic);
 }
 
 #[test]
 fn a_cycle_of_the_packed_layout_allocates_nothing() {
-    exercise_cycles(Layout::Packed);
+    exercise_cycles(BusLayout::Packed);
 }
 
 #[test]

@@ -277,7 +277,7 @@ fn mapping_is_changed_only_in_the_prescribed_order() {
         assert_eq!(write(0x1600, sub, &torque), ok);
     }
     assert_eq!(write(0x1600, 0, &[5]), aborted(AbortCode::PDO_LENGTH));
-    assert_eq!(write(0x1600, 0, &[9]), aborted(AbortCode::VALUE_HIGH));
+    assert_eq!(write(0x1600, 0, &[18]), aborted(AbortCode::VALUE_HIGH));
     assert_eq!(write(0x1600, 0, &[1]), ok);
     assert_eq!(write(0x1400, 2, &[245]), aborted(AbortCode::VALUE_RANGE));
     assert_eq!(write(0x1400, 1, &0x0000_0080u32.to_le_bytes()), aborted(AbortCode::VALUE_RANGE)); // SYNC's identifier

@@ -25,7 +25,7 @@ pub struct MemoryBus {
 }
 
 impl MemoryBus {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self { queues: Arc::new(Mutex::new(vec![VecDeque::new()])), refused: Arc::default(), me: 0 }
     }
     fn handle(&self) -> Self {
