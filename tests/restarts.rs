@@ -45,7 +45,9 @@ impl Victim {
         let ipc = &place.config().ipc;
         let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
         command.args(["client", "obstacles", "--scenario", "tip", "--source", "1"]);
-        command.env("SINEW_IPC_PREFIX", &ipc.prefix).env("SINEW_IPC_ROOT", &ipc.root_path);
+        command
+            .env("SINEW_IPC_PREFIX", &ipc.prefix)
+            .env("SINEW_IPC_ROOT", ipc.root_path.as_ref().expect("a place of its own"));
         Self(command.spawn().unwrap())
     }
 
