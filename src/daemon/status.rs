@@ -239,7 +239,12 @@ impl Shared {
     pub(crate) fn report(&self) -> StatusReport {
         let (state, time_us, overran, threads) = {
             let ticks = self.ticks.lock().unwrap_or_else(PoisonError::into_inner);
-            (ticks.state.as_deref().copied(), ticks.statistics.stages(), ticks.statistics.overran(), ticks.baseline.since())
+            (
+                ticks.state.as_deref().copied(),
+                ticks.statistics.stages(),
+                ticks.statistics.overran(),
+                ticks.baseline.since(),
+            )
         };
         let done = state.as_ref().map_or(0, |s| s.header.tick + 1);
         let state = state.unwrap_or_default();
