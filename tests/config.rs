@@ -5,8 +5,8 @@
 
 use sinew::config::schema::{Kind, Presence, TableSpec};
 use sinew::config::{
-    ArmConfig, BUILTIN_FILES, ChordRule, Config, ConfigError, Motion, PayloadConfig, Routing, SCENARIOS,
-    ScenarioConfig, SegmentConfig, ShapeConfig, Start, StrainRule, TABLES, Task, TipPath, WarningBranch,
+    ArmConfig, BUILTIN_FILES, BusConfig, BusLayout, ChordRule, Config, ConfigError, Motion, PayloadConfig, Routing,
+    SCENARIOS, ScenarioConfig, SegmentConfig, ShapeConfig, Start, StrainRule, TABLES, Task, TipPath, WarningBranch,
 };
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use std::fmt::Write as _;
@@ -104,6 +104,14 @@ fn the_shipped_files_are_accepted_together() {
         assert_eq!((drive.bus, usize::from(drive.node_id)), (index / 6, index % 6 + 1));
         assert_eq!((drive.segment, drive.cable), (index / 6 + 1, index % 6 + 1));
     }
+    let fd = Config::parse(files(&["arm.toml", "controller.toml", "drives-4-fd-buses.toml"])).unwrap();
+    assert_eq!(fd.drives.drives, config.drives.drives);
+    for (fd, classic) in fd.drives.buses.iter().zip(&config.drives.buses) {
+        let packed = BusConfig { fd: true, data_bitrate_bps: 5_000_000, layout: BusLayout::Packed, ..classic.clone() };
+        assert_eq!(*fd, packed);
+    }
+    assert!(fd.summary().iter().any(|line| line.value.contains("FD 1000 / 5000 kbit/s, packed, 6 drives")));
+
     let summary: Vec<_> = config.summary().into_iter().map(|line| format!("{}: {}", line.label, line.value)).collect();
     assert!(
         summary.iter().any(|line| line.starts_with("bus bus3: SocketCAN vcan3, 1000 kbit/s, 6 drives, nodes 1 to 6"))
@@ -391,6 +399,19 @@ fn two_buses_on_one_interface_are_refused() {
 fn a_data_bit_rate_without_fd_does_not_apply() {
     let result = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\ndata_bitrate_bps = 2000000");
     expect(result, &["`drives.buses[0].data_bitrate_bps` = 2000000 does not apply here"]);
+}
+
+#[test]
+fn packed_torques_without_fd_are_refused() {
+    let result = changed("drives.toml", "interface = \"sinew0\"", "interface = \"sinew0\"\nlayout = \"packed\"");
+    expect(result, &["`drives.buses[0].layout` = \"packed\"", "8 bytes of a classic frame", "`fd = true`"]);
+}
+
+#[test]
+fn more_drives_than_a_packed_frame_holds_are_refused() {
+    let packed = "interface = \"sinew0\"\nfd = true\nlayout = \"packed\"";
+    let result = changed("drives.toml", "interface = \"sinew0\"", packed);
+    expect(result, &["`drives.buses[0].layout` = \"packed\"", "bus `bus0` has 24 drives", "at most 16 drives"]);
 }
 
 #[test]

@@ -232,43 +232,10 @@ fn a_plant_that_is_gone_is_a_lost_bus_and_clear_works_when_it_is_back() {
     assert_eq!(daemon.terminate().0.code(), Some(0));
 }
 
-/// Tensions of a run in lockstep, as bits, tick by tick.
-fn lockstep_run(seed: &str, ticks: u64) -> Vec<Vec<u64>> {
-    let place = Place::shipped();
-    let _plant = Plant::start(&place, true, &[]);
-    let mut daemon = place.daemon(&[
-        "--lockstep",
-        "--seed",
-        seed,
-        "--arm-on-start",
-        "--track-on-start",
-        "--await-obstacles",
-        "11",
-        "--await-target",
-        "--ticks",
-        &ticks.to_string(),
-    ]);
-    let mut client = TickClient::new(&place);
-    let (mut tensions, mut tracked) = (Vec::new(), false);
-    client.run(
-        |state| state.header.tick + 1 == ticks,
-        |state: &State| {
-            assert_eq!(state.header.tick, tensions.len() as u64, "no tick is left out");
-            assert_eq!(state.fault_code, 0, "at tick {}", state.header.tick);
-            tracked |= state.supervisor == SupervisorState::Tracking.wire();
-            tensions.push(state.tension_command_n[..24].iter().map(|t| t.to_bits()).collect());
-        },
-    );
-    assert!(tracked);
-    drop(client);
-    let (status, said) = daemon.finish();
-    assert_eq!(status.code(), Some(0), "{said}");
-    tensions
-}
-
 #[test]
 fn a_run_in_lockstep_gives_the_same_tensions_bit_for_bit() {
-    let (first, second) = (lockstep_run("3", 400), lockstep_run("3", 400));
+    let run = || lockstep_run(&Place::shipped(), "3", 400);
+    let (first, second) = (run(), run());
     let differing = first.iter().zip(&second).position(|(a, b)| a != b);
     assert_eq!(differing, None, "first tick that differs");
     assert!(first.last().unwrap().iter().any(|t| *t != 0), "tensions were sent at all");

@@ -13,6 +13,9 @@ use std::time::Duration;
 
 use sinew_hal::bus_config::{BusKind, BusSpec, OpenError, Restart, open};
 use sinew_hal::can::{BusCounters, BusState, CanBus, Filter, Frame, Id, Kind, ReceiveError, Received, SendError};
+use sinew_hal::canopen::NodeId;
+use sinew_hal::cia402::objects::encode_rpdo1;
+use sinew_hal::cia402::{DriveSetup, Layout, Master, MasterConfig};
 use sinew_hal::clock::monotonic_ns;
 use sinew_hal::virtual_bus::VirtualBus;
 
@@ -319,6 +322,33 @@ fn a_lost_bus_is_reported_once_at_once_and_comes_back(bench: &Bench) {
     assert_eq!((a.state(), b.state()), (BusState::ErrorActive, BusState::ErrorActive));
 }
 
+fn cycles_of_both_layouts_arrive_as_their_frames(bench: &Bench) {
+    let node = |n| NodeId::new(n).unwrap();
+    let mut peer = bench.open();
+    for layout in [Layout::Classic, Layout::Packed] {
+        let drives = (1..=6).map(|n| DriveSetup::new(0, node(n))).collect();
+        let config = MasterConfig { layouts: vec![layout], ..MasterConfig::new(drives, node(127), 1000) };
+        let mut writer = Master::new(config, vec![bench.open()]).unwrap().take_writer().unwrap();
+        for cycle in 1..=20_i16 {
+            let torques: Vec<i16> = (0..6).map(|i| 100 * i - cycle).collect();
+            let report = writer.write_cycle(&torques);
+            assert!(report.error.is_none(), "{report:?}");
+            // Controlwords are 0: nobody has set a goal.
+            let slots: Vec<u8> = torques.iter().flat_map(|t| encode_rpdo1(0, *t)).collect();
+            if layout == Layout::Packed {
+                let all = Frame::new(Id::Standard(0x200), Kind::Fd { bit_rate_switch: true }, &slots).unwrap();
+                assert_eq!(next(&mut *peer).frame, all);
+            } else {
+                (0x201..)
+                    .zip(slots.chunks(4))
+                    .for_each(|(id, slot)| assert_eq!(next(&mut *peer).frame, frame(id, slot)));
+            }
+            assert_eq!(next(&mut *peer).frame, frame(0x80, &[]));
+        }
+    }
+    assert_eq!(peer.receive(QUIET), Ok(None));
+}
+
 macro_rules! conformance {
     ($($claim:ident)*) => {
         mod virtual_bus {
@@ -342,6 +372,7 @@ conformance! {
     counters_count_what_happened
     a_receiver_that_sleeps_too_long_counts_every_frame_it_lost
     two_threads_use_a_handle_and_its_duplicate
+    cycles_of_both_layouts_arrive_as_their_frames
     a_lost_bus_is_reported_once_at_once_and_comes_back
 }
 

@@ -1,4 +1,5 @@
-//! After `open`, sending and receiving allocate nothing: a counting allocator watches the test's thread.
+//! After `open`, sending and receiving allocate nothing, frames and whole cycles of drives alike: a counting allocator
+//! watches the test's thread.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a helper that fails is a test that fails
 
@@ -9,6 +10,9 @@ use std::time::Duration;
 
 use sinew_hal::bus_config::{BusKind, BusSpec, open};
 use sinew_hal::can::{BusState, CanBus, Filter, Frame, Id, Kind};
+use sinew_hal::canopen::NodeId;
+use sinew_hal::cia402::objects::TPDO1;
+use sinew_hal::cia402::{DriveSetup, Event, Layout, Master, MasterConfig};
 use sinew_hal::clock::{Clock, Lockstep, Monotonic, monotonic_ns};
 use sinew_hal::fault_shim::{Delay, FaultPlan, FaultShim};
 use sinew_hal::virtual_bus::VirtualBus;
@@ -140,6 +144,56 @@ fn exercise_receive(peer: &mut dyn CanBus, shim: &mut dyn CanBus) {
         peer.send(&frame).unwrap();
         while shim.receive(Duration::ZERO).unwrap().is_some() {}
     }
+}
+
+/// Cycles of 24 drives on four buses: torques out, answers in, some of them missing, some of them malformed.
+fn exercise_cycles(layout: Layout) {
+    let node = |n: usize| NodeId::new(n as u8).unwrap();
+    let drives = (0..24).map(|i| DriveSetup::new(i / 6, node(i % 6 + 1))).collect();
+    let config = MasterConfig { layouts: vec![layout; 4], ..MasterConfig::new(drives, node(127), 1000) };
+    let claim = format!("cycles-{layout:?}");
+    let buses: Vec<_> = (0..4).map(|b| VirtualBus::open(&name(&format!("{claim}-{b}")), true).unwrap()).collect();
+    let mut peers: Vec<_> = buses.iter().map(|b| b.duplicate().unwrap()).collect();
+    let mut receivers: Vec<_> = buses.iter().map(|b| b.duplicate().unwrap()).collect();
+    let handles = buses.into_iter().map(|b| Box::new(b) as Box<dyn CanBus>).collect();
+    let mut master = Master::new(config, handles).unwrap();
+    let (mut writer, mut decoder) = (master.take_writer().unwrap(), master.decoder());
+    let kind = if layout == Layout::Packed { Kind::Fd { bit_rate_switch: true } } else { Kind::Classic };
+    let len: usize = TPDO1.iter().map(|m| m.bytes()).sum();
+    let answer = |n: u16, len: usize| Frame::new(Id::Standard(0x180 + n), kind, &[1; 8][..len]).unwrap();
+    let (mut complete, mut heard) = (0, 0);
+    let count = allocations(|| {
+        for cycle in 0..2000_i16 {
+            let report = writer.write_cycle(&[cycle; 24]);
+            assert!(report.not_sent.is_empty() && report.sync_not_sent == 0 && report.error.is_none());
+            for peer in &mut peers {
+                while peer.receive(Duration::ZERO).unwrap().is_some() {
+                    heard += 1;
+                }
+                (1..=6).filter(|n| cycle % 10 != 0 || *n != 3).for_each(|n| peer.send(&answer(n, len)).unwrap());
+                peer.send(&answer(3, 2)).unwrap();
+            }
+            for (bus, receiver) in receivers.iter_mut().enumerate() {
+                while let Some(received) = receiver.receive(Duration::ZERO).unwrap() {
+                    complete += u32::from(matches!(decoder.on_frame(bus, &received), Event::Complete { .. }));
+                }
+            }
+        }
+    });
+    assert_eq!(count, 0);
+    assert_eq!(complete, 1800);
+    // RPDOs and SYNC.
+    assert_eq!(heard, 2000 * 4 * if layout == Layout::Packed { 2 } else { 7 });
+}
+
+#[test]
+fn a_cycle_of_the_classic_layout_allocates_nothing() {
+    exercise_cycles(Layout::Classic);
+}
+
+#[test]
+fn a_cycle_of_the_packed_layout_allocates_nothing() {
+    exercise_cycles(Layout::Packed);
 }
 
 #[test]

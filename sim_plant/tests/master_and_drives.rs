@@ -1,170 +1,24 @@
-//! The master's half of CiA 402 against the drives' half, on a bus in memory, in lockstep: the clock is a number.
+//! The master's half of CiA 402 against the drives' half, on a bus in memory, in lockstep: the clock is a number. What
+//! does not depend on the layout of the frames is claimed for both.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
+mod bench;
+
+use bench::{Bench, MS, configure, node, transfer};
 use proptest::prelude::*;
 use sim_plant::drive::objects::{PRODUCT, dictionary};
 use sim_plant::drive::{Drive, DriveBank, Nameplate};
-use sinew_hal::can::{BusCounters, BusState, CanBus, Filter, Frame, Id, ReceiveError, Received, SendError};
+use sinew_hal::can::{Frame, Id, Kind, Received};
 use sinew_hal::canopen::emcy::{code, register};
-use sinew_hal::canopen::sdo_client::{Outcome, SdoClient, SdoError};
-use sinew_hal::canopen::{AbortCode, NmtCommand, NmtState, NodeId};
+use sinew_hal::canopen::sdo_client::{Outcome, SdoError};
+use sinew_hal::canopen::{AbortCode, NmtCommand, NmtState};
+use sinew_hal::cia402::layout::packed_frame;
 use sinew_hal::cia402::objects as o;
 use sinew_hal::cia402::state::Command;
-use sinew_hal::cia402::{
-    CycleWriter, Decoder, DriveMask, DriveSetup, Event, Fault, Goal, Master, MasterConfig, ObjectWrite, Order, Phase,
-    Progress, State,
-};
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use sinew_hal::cia402::{DriveMask, Event, Fault, Goal, Layout, ObjectWrite, Order, Phase, State};
 
-const MS: u64 = 1_000_000;
-
-/// A bus in memory: every handle has a queue, a frame goes into all queues but the sender's.
-struct MemoryBus {
-    queues: Arc<Mutex<Vec<VecDeque<Received>>>>,
-    me: usize,
-}
-
-impl MemoryBus {
-    fn new() -> Self {
-        Self { queues: Arc::new(Mutex::new(vec![VecDeque::new()])), me: 0 }
-    }
-    fn handle(&self) -> Self {
-        let mut q = self.queues.lock().unwrap();
-        q.push(VecDeque::new());
-        Self { queues: self.queues.clone(), me: q.len() - 1 }
-    }
-}
-
-impl CanBus for MemoryBus {
-    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
-        for (i, q) in self.queues.lock().unwrap().iter_mut().enumerate() {
-            if i != self.me {
-                q.push_back(Received { frame: *frame, time_ns: 0 });
-            }
-        }
-        Ok(())
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
-        Ok(self.queues.lock().unwrap()[self.me].pop_front())
-    }
-    fn state(&self) -> BusState {
-        BusState::ErrorActive
-    }
-    fn counters(&self) -> BusCounters {
-        BusCounters::default()
-    }
-    fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
-        Ok(Box::new(self.handle()))
-    }
-}
-
-fn node(n: u8) -> NodeId {
-    NodeId::new(n).unwrap()
-}
-
-/// Master, drives and the receive side on any number of buses.
-struct Bench {
-    now_ns: u64,
-    master: Master,
-    banks: Vec<(MemoryBus, DriveBank)>,
-    receivers: Vec<MemoryBus>,
-    decoder: Decoder,
-    events: Vec<Event>,
-}
-
-impl Bench {
-    fn new(buses: usize, per_bus: u8, adjust: impl FnOnce(&mut MasterConfig)) -> Self {
-        let mut drives = Vec::new();
-        for bus in 0..buses {
-            for n in 1..=per_bus {
-                let mut d = DriveSetup::new(bus, node(n));
-                d.identity.product = Some(PRODUCT);
-                d.rated_torque_mnm = Some(5000);
-                d.writes = ObjectWrite::sinew_guard(30_000, 0).to_vec();
-                drives.push(d);
-            }
-        }
-        let mut config = MasterConfig::new(drives, node(127), 10_000);
-        adjust(&mut config);
-        let wires: Vec<_> = (0..buses).map(|_| MemoryBus::new()).collect();
-        let banks = wires
-            .iter()
-            .map(|w| {
-                (
-                    w.handle(),
-                    DriveBank::new((1..=per_bus).map(|n| Drive::new(node(n), Nameplate::default(), 0)).collect()),
-                )
-            })
-            .collect();
-        let receivers = wires.iter().map(MemoryBus::handle).collect();
-        let handles = wires.into_iter().map(|w| Box::new(w) as Box<dyn CanBus>).collect();
-        let mut master = Master::new(config, handles).unwrap();
-        let decoder = master.decoder();
-        master.start(0);
-        Self { now_ns: 0, master, banks, receivers, decoder, events: Vec::new() }
-    }
-
-    /// One millisecond.
-    fn step(&mut self) -> Progress {
-        self.now_ns += MS;
-        let now = self.now_ns;
-        let progress = self.master.pump(now);
-        self.serve();
-        progress
-    }
-
-    fn serve(&mut self) {
-        let now = self.now_ns;
-        for (bus, bank) in &mut self.banks {
-            while !matches!(bank.pump(bus, Duration::ZERO, &mut || now), sim_plant::drive::Pumped::Idle) {}
-        }
-        for (i, r) in self.receivers.iter_mut().enumerate() {
-            while let Ok(Some(mut f)) = r.receive(Duration::ZERO) {
-                f.time_ns = now;
-                self.events.push(self.decoder.on_frame(i, &f));
-            }
-        }
-    }
-
-    fn run_until(&mut self, ms: u64, mut done: impl FnMut(&Progress) -> bool) -> Progress {
-        for _ in 0..ms {
-            let p = self.step();
-            if done(&p) {
-                return p;
-            }
-        }
-        panic!("not reached: {:?} {:?}", self.step(), self.master.take_faults());
-    }
-
-    fn enable(&mut self) {
-        self.run_until(3000, |p| p.at_goal);
-        self.master.set_goal(Goal::Enabled, self.now_ns);
-        self.run_until(1000, |p| p.at_goal);
-    }
-
-    fn drive(&mut self, bus: usize, i: usize) -> &mut Drive {
-        &mut self.banks[bus].1.drives_mut()[i]
-    }
-
-    /// A cycle of the control thread, then 10 ms in which everything else runs.
-    fn cycle(&mut self, writer: &mut CycleWriter, torques: &[i16]) {
-        let report = writer.write_cycle(torques);
-        assert!(report.not_sent.is_empty() && report.sync_not_sent == 0, "{report:?}");
-        self.serve();
-        for _ in 0..10 {
-            self.step();
-        }
-    }
-}
-
-#[test]
-fn twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back() {
-    let mut b = Bench::new(4, 6, |_| {});
+fn twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back(layout: Layout) {
+    let mut b = Bench::new(layout, 4, 6, |_| {});
     b.enable();
     assert_eq!(b.master.take_faults(), []);
     assert!(b.master.status().all(|s| s.rated_torque_mnm == Some(5000) && s.absent.is_empty()));
@@ -189,15 +43,18 @@ fn twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back() {
     assert_eq!(b.master.take_faults(), []);
 }
 
-#[test]
-fn a_torque_counts_from_the_next_sync_on_and_not_before() {
-    let mut b = Bench::new(1, 1, |_| {});
+fn a_torque_counts_from_the_next_sync_on_and_not_before(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 1, |_| {});
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     b.cycle(&mut writer, &[100]);
     let data = o::encode_rpdo1(Command::EnableOperation.controlword(), 300);
     let now = b.now_ns;
-    let rpdo = Frame::classic(Id::Standard(0x201), &data).unwrap();
+    let rpdo = match layout {
+        Layout::Classic => Frame::classic(Id::Standard(0x201), &data),
+        Layout::Packed => packed_frame(&data),
+    };
+    let rpdo = rpdo.unwrap();
     let sync = Frame::classic(Id::Standard(0x80), &[]).unwrap();
     b.drive(0, 0).on_frame(&rpdo, now);
     assert_eq!(b.drive(0, 0).torque_permille(), 100);
@@ -205,9 +62,8 @@ fn a_torque_counts_from_the_next_sync_on_and_not_before() {
     assert_eq!(b.drive(0, 0).torque_permille(), 300);
 }
 
-#[test]
-fn torque_beyond_the_limit_is_cut_and_reported_by_both_sides() {
-    let mut b = Bench::new(1, 2, |c| c.drives[1].torque_permille_max = 400);
+fn torque_beyond_the_limit_is_cut_and_reported_by_both_sides(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 2, |c| c.drives[1].torque_permille_max = 400);
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     let report = writer.write_cycle(&[900, 900]);
@@ -218,9 +74,8 @@ fn torque_beyond_the_limit_is_cut_and_reported_by_both_sides() {
     assert_eq!((b.drive(0, 0).torque_permille(), b.drive(0, 1).torque_permille()), (900, 400));
 }
 
-#[test]
-fn ordered_disabling_takes_one_drive_after_the_other() {
-    let mut b = Bench::new(1, 3, |c| c.order_of_disabling = Order::OneByOneReversed);
+fn ordered_disabling_takes_one_drive_after_the_other(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 3, |c| c.order_of_disabling = Order::OneByOneReversed);
     b.enable();
     b.master.set_goal(Goal::Disabled, b.now_ns);
     let mut seen = Vec::new();
@@ -234,10 +89,9 @@ fn ordered_disabling_takes_one_drive_after_the_other() {
     assert_eq!(seen, [[false, false, false], [false, false, true], [false, true, true], [true, true, true]]);
 }
 
-#[test]
-fn a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched() {
+fn a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched(layout: Layout) {
     for safe in [0, 30] {
-        let mut b = Bench::new(1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(0, safe).to_vec());
+        let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(0, safe).to_vec());
         b.enable();
         let mut writer = b.master.take_writer().unwrap();
         b.cycle(&mut writer, &[500]);
@@ -269,9 +123,8 @@ fn a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched() {
     }
 }
 
-#[test]
-fn a_missing_sync_is_a_fault_within_its_timeout() {
-    let mut b = Bench::new(1, 1, |_| {});
+fn a_missing_sync_is_a_fault_within_its_timeout(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 1, |_| {});
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     b.cycle(&mut writer, &[500]);
@@ -286,9 +139,8 @@ fn a_missing_sync_is_a_fault_within_its_timeout() {
     );
 }
 
-#[test]
-fn quick_stop_brakes_along_the_slope() {
-    let mut b = Bench::new(1, 1, |_| {});
+fn quick_stop_brakes_along_the_slope(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 1, |_| {});
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     b.cycle(&mut writer, &[1000]);
@@ -305,9 +157,8 @@ fn quick_stop_brakes_along_the_slope() {
     assert_eq!((b.drive(0, 0).torque_permille(), b.drive(0, 0).state()), (0, State::SwitchOnDisabled));
 }
 
-#[test]
-fn a_device_fault_is_reported_and_the_drive_is_not_driven_back() {
-    let mut b = Bench::new(1, 2, |_| {});
+fn a_device_fault_is_reported_and_the_drive_is_not_driven_back(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 2, |_| {});
     b.enable();
     let now = b.now_ns;
     b.drive(0, 1).trip(code::OVER_CURRENT, register::CURRENT, now);
@@ -322,28 +173,27 @@ fn a_device_fault_is_reported_and_the_drive_is_not_driven_back() {
     assert_eq!(b.drive(0, 1).dictionary().int(o::ERROR_FIELD, 1), i64::from(code::OVER_CURRENT));
 }
 
-#[test]
-fn what_is_wrong_at_start_is_named() {
+fn what_is_wrong_at_start_is_named(layout: Layout) {
     // A node that is not there.
-    let mut b = Bench::new(1, 1, |c| c.drives[0].node = node(9));
+    let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].node = node(9));
     b.run_until(6000, |p| p.failed == 1);
     assert!(
         matches!(b.master.take_faults()[..], [f] if f.node == node(9) && matches!(f.fault, Fault::NoBootUp { .. }))
     );
     // Another product.
-    let mut b = Bench::new(1, 1, |c| c.drives[0].identity.product = Some(7));
+    let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].identity.product = Some(7));
     b.run_until(1000, |p| p.failed == 1);
     let wrong = Fault::Value { index: 0x1018, sub: 2, expected: 7, found: PRODUCT, mask: u32::MAX };
     assert_eq!(b.master.take_faults()[0].fault, wrong);
     // Another motor.
-    let mut b = Bench::new(1, 1, |c| c.drives[0].rated_torque_mnm = Some(4000));
+    let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].rated_torque_mnm = Some(4000));
     b.run_until(1000, |p| p.failed == 1);
     assert!(matches!(b.master.take_faults()[0].fault, Fault::Value { index: 0x6076, expected: 4000, found: 5000, .. }));
     // A value that the drive refuses, and an object that it has not.
     for (index, sub, abort) in [(o::GUARD, 2, AbortCode::VALUE_HIGH), (0x2fff, 0, AbortCode::NO_OBJECT)] {
         let data = 2000i16.to_le_bytes().to_vec();
         let write = ObjectWrite { index, sub, data, optional: false };
-        let mut b = Bench::new(1, 1, |c| c.drives[0].writes = vec![write]);
+        let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = vec![write]);
         b.run_until(1000, |p| p.failed == 1);
         let fault = b.master.take_faults()[0];
         let error = SdoError::Aborted(abort);
@@ -352,9 +202,8 @@ fn what_is_wrong_at_start_is_named() {
     }
 }
 
-#[test]
-fn a_drive_that_restarts_or_falls_silent_is_a_fault() {
-    let mut b = Bench::new(1, 2, |_| {});
+fn a_drive_that_restarts_or_falls_silent_is_a_fault(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 2, |_| {});
     b.enable();
     let now = b.now_ns;
     b.drive(0, 0).power_cycle(now);
@@ -368,9 +217,8 @@ fn a_drive_that_restarts_or_falls_silent_is_a_fault() {
     assert!(faults.iter().any(|f| f.drive == 1 && f.fault == Fault::HeartbeatLost { timeout_ms: 200 }), "{faults:?}");
 }
 
-#[test]
-fn a_lost_answer_is_named_in_the_next_cycle() {
-    let mut b = Bench::new(1, 3, |_| {});
+fn a_lost_answer_is_named_in_the_next_cycle(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 3, |_| {});
     b.enable();
     let mut writer = b.master.take_writer().unwrap();
     b.cycle(&mut writer, &[0; 3]);
@@ -384,26 +232,30 @@ fn a_lost_answer_is_named_in_the_next_cycle() {
     assert!(told, "{:?}", b.events);
 }
 
-/// Runs one SDO transfer against a drive.
-fn transfer(d: &mut Drive, index: u16, sub: u8, write: Option<&[u8]>) -> Outcome {
-    let mut client = SdoClient::new(MS);
-    let mut next = Some(match write {
-        Some(data) => client.download(index, sub, data, 0),
-        None => client.upload(index, sub, 0),
-    });
-    while let Some(p) = next.take() {
-        d.on_frame(&Frame::classic(Id::Standard(0x601), &p).unwrap(), 0);
-        while let Some(f) = d.pop() {
-            if f.id() == Id::Standard(0x581) {
-                let (outcome, send) = client.on_response(f.data(), 0);
-                if outcome != Outcome::Pending {
-                    return outcome;
-                }
-                next = send;
-            }
-        }
-    }
-    Outcome::Pending
+fn frames_that_a_bus_does_not_take_are_counted_and_its_drives_keep_their_torques(layout: Layout) {
+    let mut b = Bench::new(layout, 2, 3, |_| {});
+    b.enable();
+    let mut writer = b.master.take_writer().unwrap();
+    b.cycle(&mut writer, &[100; 6]);
+    assert_eq!([b.master.unsent(0), b.master.unsent(1)], [0, 0]);
+    // The torques of the second bus are not taken, its SYNC is.
+    b.refuse(1, Some(|id| (0x200..0x280).contains(&id)));
+    let report = writer.write_cycle(&[200; 6]);
+    b.serve();
+    assert_eq!((report.not_sent.iter().collect::<Vec<_>>(), report.sync_not_sent), (vec![3, 4, 5], 0));
+    let torques: Vec<_> = (0..6).map(|i| b.drive(i / 3, i % 3).torque_permille()).collect();
+    assert_eq!(torques, [200, 200, 200, 100, 100, 100]);
+    let rpdos = if layout == Layout::Packed { 1 } else { 3 };
+    assert_eq!([b.master.unsent(0), b.master.unsent(1)], [0, rpdos]);
+    // Nor is its SYNC.
+    b.refuse(1, Some(|id| (0x200..0x280).contains(&id) || id == 0x80));
+    assert_eq!(writer.write_cycle(&[200; 6]).sync_not_sent, 0b10);
+    assert_eq!([b.master.unsent(0), b.master.unsent(1)], [0, 2 * rpdos + 1]);
+    // What comes later is taken, and nothing of what was refused comes after all.
+    b.refuse(1, None);
+    b.cycle(&mut writer, &[300; 6]);
+    assert!((0..6).all(|i| b.drive(i / 3, i % 3).torque_permille() == 300));
+    assert_eq!(b.master.unsent(1), 2 * rpdos + 1);
 }
 
 #[test]
@@ -471,16 +323,54 @@ fn long_strings_travel_in_segments_both_ways() {
     assert_eq!(transfer(&mut d, 0x2001, 0, None), Outcome::Done(label.to_vec()));
 }
 
+macro_rules! with_both_layouts {
+    ($($claim:ident)*) => {
+        mod classic {
+            $(#[test] fn $claim() { super::$claim(super::Layout::Classic) })*
+        }
+        mod packed {
+            $(#[test] fn $claim() { super::$claim(super::Layout::Packed) })*
+        }
+    };
+}
+
+with_both_layouts! {
+    twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back
+    a_torque_counts_from_the_next_sync_on_and_not_before
+    torque_beyond_the_limit_is_cut_and_reported_by_both_sides
+    ordered_disabling_takes_one_drive_after_the_other
+    a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched
+    a_missing_sync_is_a_fault_within_its_timeout
+    quick_stop_brakes_along_the_slope
+    a_device_fault_is_reported_and_the_drive_is_not_driven_back
+    what_is_wrong_at_start_is_named
+    a_drive_that_restarts_or_falls_silent_is_a_fault
+    a_lost_answer_is_named_in_the_next_cycle
+    frames_that_a_bus_does_not_take_are_counted_and_its_drives_keep_their_torques
+}
+
+/// Payloads of classic and of CAN FD frames.
+fn any_payload() -> impl Strategy<Value = (Kind, Vec<u8>)> {
+    let bytes = |most| proptest::collection::vec(any::<u8>(), 0..=most);
+    prop_oneof![
+        bytes(8).prop_map(|data| (Kind::Classic, data)),
+        bytes(64).prop_map(|data| (Kind::Fd { bit_rate_switch: true }, data)),
+    ]
+}
+
 proptest! {
     #[test]
     fn arbitrary_frames_neither_panic_a_drive_nor_give_torque_beyond_its_limit(
-        frames in proptest::collection::vec((0u16..0x800, proptest::collection::vec(any::<u8>(), 0..9)), 0..200)
+        packed: bool,
+        frames in proptest::collection::vec((0u16..0x800, any_payload()), 0..200)
     ) {
         let mut d = Drive::new(node(1), Nameplate::default(), 0);
-        for (i, (id, data)) in frames.iter().enumerate() {
+        let (layout, rpdo) = if packed { (Layout::Packed, 0x200) } else { (Layout::Classic, 0x201) };
+        configure(&mut d, layout, 1);
+        for (i, (id, (kind, data))) in frames.iter().enumerate() {
             // Half of them at the identifiers that the drive listens to.
-            let id = if i % 2 == 0 { *id } else { [0, 0x80, 0x201, 0x601, 0x77f][i / 2 % 5] };
-            d.on_frame(&Frame::classic(Id::Standard(id), data).unwrap(), i as u64 * MS);
+            let id = if i % 2 == 0 { *id } else { [0, 0x80, rpdo, 0x601, 0x77f][i / 2 % 5] };
+            d.on_frame(&Frame::new(Id::Standard(id), *kind, data).unwrap(), i as u64 * MS);
             while d.pop().is_some() {}
             let limit = d.dictionary().int(o::MAX_TORQUE, 0);
             prop_assert!(i64::from(d.torque_permille()).abs() <= limit.max(1000));
@@ -500,12 +390,14 @@ proptest! {
 
     #[test]
     fn arbitrary_frames_panic_neither_master_nor_decoder(
-        frames in proptest::collection::vec((0u16..0x800, proptest::collection::vec(any::<u8>(), 0..9)), 0..100)
+        packed: bool,
+        frames in proptest::collection::vec((0u16..0x800, any_payload()), 0..100)
     ) {
-        let mut b = Bench::new(1, 2, |_| {});
+        let layout = if packed { Layout::Packed } else { Layout::Classic };
+        let mut b = Bench::new(layout, 1, 2, |_| {});
         for _ in 0..20 { b.step(); }
-        for (id, data) in &frames {
-            let frame = Frame::classic(Id::Standard(*id), data).unwrap();
+        for (id, (kind, data)) in &frames {
+            let frame = Frame::new(Id::Standard(*id), *kind, data).unwrap();
             let received = Received { frame, time_ns: b.now_ns };
             b.master.on_frame(0, &received, b.now_ns);
             b.decoder.on_frame(0, &received);

@@ -66,7 +66,7 @@ fn text(r: &StatusReport) -> String {
     d.fault.iter().for_each(|fault| line(format!("  {fault}")));
 
     let mut buses = table();
-    buses.set_header(["bus", "state", "load computed", "measured", "limit", "frames", "lost"]);
+    buses.set_header(["bus", "state", "load computed", "measured", "limit", "frames", "lost", "unsent"]);
     for b in &r.buses {
         buses.add_row([
             b.name.clone(),
@@ -76,6 +76,7 @@ fn text(r: &StatusReport) -> String {
             format!("{:.0} %", 100.0 * b.load_limit),
             b.frames.to_string(),
             b.lost.to_string(),
+            b.unsent.to_string(),
         ]);
     }
     line(buses.to_string());

@@ -9,6 +9,7 @@ pub static BUILTIN_FILES: &[(&str, &str)] = &[
     ("controller.toml", include_str!("../../config/controller.toml")),
     ("drives.toml", include_str!("../../config/drives.toml")),
     ("drives-4-buses.toml", include_str!("../../config/drives-4-buses.toml")),
+    ("drives-4-fd-buses.toml", include_str!("../../config/drives-4-fd-buses.toml")),
     ("plant.toml", include_str!("../../config/plant.toml")),
 ];
 

@@ -3,7 +3,7 @@
 //! Enters: a checked configuration. Leaves: lines of label and value, ready for a table. The buses' load is computed
 //! where their protocol is known and is not part of it.
 
-use super::{BodyModel, BusKind, Config, Routing, ScenarioConfig, Task};
+use super::{BodyModel, BusKind, BusLayout, Config, Routing, ScenarioConfig, Task};
 
 /// One line of a summary.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,7 +82,8 @@ impl Config {
             };
             let kind = if bus.kind == BusKind::Virtual { "virtual" } else { "SocketCAN" };
             let rate = if bus.fd {
-                format!("FD {} / {} kbit/s", bus.bitrate_bps / 1000, bus.data_bitrate_bps / 1000)
+                let layout = if bus.layout == BusLayout::Packed { ", packed" } else { "" };
+                format!("FD {} / {} kbit/s{layout}", bus.bitrate_bps / 1000, bus.data_bitrate_bps / 1000)
             } else {
                 format!("{} kbit/s", bus.bitrate_bps / 1000)
             };

@@ -17,6 +17,19 @@ pub enum BusKind {
     Socketcan,
 }
 
+/// How the cyclic traffic of a bus lies in its frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BusLayout {
+    /// Classic frames, one of torque for each drive.
+    Classic,
+    /// CAN FD frames with bit-rate switch, one of torque for all drives.
+    Packed,
+}
+
+/// Most drives of a bus with the packed layout: 64 bytes, four for each.
+pub const PACKED_DRIVES_MAX: usize = 16;
+
 /// One CAN bus.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BusConfig {
@@ -32,6 +45,8 @@ pub struct BusConfig {
     pub fd: bool,
     /// Bit rate of the data phase (bit/s); equal to `bitrate_bps` without FD.
     pub data_bitrate_bps: u32,
+    /// How its cyclic traffic lies in its frames.
+    pub layout: BusLayout,
     /// Share of the bus that its cyclic traffic may take, worst case.
     pub load_limit: f64,
 }
@@ -176,6 +191,13 @@ static BUS: TableSpec = TableSpec {
             "bit/s",
             "5000000 with FD",
             "Bit rate of FD's data phase; only with `fd = true`.",
+        ),
+        Key::default(
+            "layout",
+            Kind::Choice(&["classic", "packed"]),
+            "",
+            "\"classic\"",
+            "`classic`: classic frames, one of torque for each drive; `packed`: CAN FD frames with bit-rate switch, one of torque for all drives of the bus, at most 16; only with `fd = true`.",
         ),
         Key::default(
             "load_limit",
@@ -342,6 +364,7 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
         check_torque(section, arm, &drive);
         drives.push(drive);
     }
+    check_layouts(&bus_tables, &buses, &drives);
     let config = DrivesConfig {
         buses,
         drives,
@@ -367,6 +390,14 @@ fn bus(section: &Section<'_>) -> BusConfig {
             &format!("permitted: {bitrate_bps} to 8000000 bit/s"),
         );
     }
+    let layout = if section.choice("layout") == "packed" { BusLayout::Packed } else { BusLayout::Classic };
+    if layout == BusLayout::Packed && !fd {
+        section.refuse(
+            "layout",
+            "packed torques do not fit the 8 bytes of a classic frame",
+            "permitted: `classic`, or `packed` with `fd = true` on an interface that carries CAN FD",
+        );
+    }
     BusConfig {
         name: section.text("name"),
         kind: if section.choice("kind") == "socketcan" { BusKind::Socketcan } else { BusKind::Virtual },
@@ -374,7 +405,21 @@ fn bus(section: &Section<'_>) -> BusConfig {
         bitrate_bps,
         fd,
         data_bitrate_bps: data,
+        layout,
         load_limit: section.float("load_limit"),
+    }
+}
+
+fn check_layouts(sections: &[Section<'_>], buses: &[BusConfig], drives: &[DriveConfig]) {
+    for (index, (section, bus)) in sections.iter().zip(buses).enumerate() {
+        let count = drives.iter().filter(|drive| drive.bus == index).count();
+        if bus.layout == BusLayout::Packed && count > PACKED_DRIVES_MAX && section.is_clean() {
+            section.refuse(
+                "layout",
+                format!("bus `{}` has {count} drives, but a packed frame has places for {PACKED_DRIVES_MAX}", bus.name),
+                &format!("permitted: at most {PACKED_DRIVES_MAX} drives on a packed bus; use more buses"),
+            );
+        }
     }
 }
 

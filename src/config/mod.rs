@@ -32,7 +32,7 @@ pub use arm::*;
 pub use arm_file::ARM;
 pub use builtin::{BUILTIN_FILES, SCENARIOS};
 pub use check::SummaryLine;
-pub use drives::{BusConfig, BusKind, DRIVES, DriveConfig, DrivesConfig};
+pub use drives::{BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX};
 pub use error::ConfigError;
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};

@@ -495,16 +495,17 @@ impl BusThread {
             return;
         }
         self.statistics_ns = real_ns;
-        let line = |line: &mut Line| {
+        let line = |(bus, line): (usize, &mut Line)| {
             let share = std::mem::take(&mut line.busy_s) / (1e-9 * elapsed_ns as f64);
             BusStatus {
                 load_measured: share,
                 state: format!("{:?}", line.bus.state()),
                 frames: line.frames,
                 lost: line.bus.counters().lost,
+                unsent: self.master.unsent(bus),
             }
         };
-        let buses = self.lines.iter_mut().map(line).collect();
+        let buses = self.lines.iter_mut().enumerate().map(line).collect();
         let first = self.input.fault;
         let drives = DriveStatus {
             count: self.memory.len(),

@@ -109,7 +109,8 @@ pub enum DaemonError {
 fn remedy(load: &BusLoad) -> String {
     if load.period_s_min.is_finite() {
         format!(
-            "lengthen `loop.period_s` to at least {:.2} ms or deal the drives to more buses",
+            "lengthen `loop.period_s` to at least {:.2} ms, deal the drives to more buses, or use CAN FD with \
+             `layout = \"packed\"`",
             1e3 * load.period_s_min
         )
     } else {

@@ -1,14 +1,14 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusKind, Config, DriveConfig};
+use crate::config::{BusKind, BusLayout, Config, DriveConfig};
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
 use sinew_hal::canopen::NodeId;
-use sinew_hal::cia402::objects::{RPDO1, TORQUE_SLOPE, TPDO1};
-use sinew_hal::cia402::{DriveSetup, MasterConfig, ObjectWrite, Order};
-use sinew_hal::load::{BitRates, Load, Rate, Shape};
+use sinew_hal::cia402::objects::TORQUE_SLOPE;
+use sinew_hal::cia402::{DriveSetup, Layout, MasterConfig, ObjectWrite, Order};
+use sinew_hal::load::BitRates;
 use sinew_hal::motor_bank::{MotorBank, MotorChannel, Sense};
 
 /// Traffic of one bus as the configuration makes it.
@@ -39,23 +39,17 @@ pub fn check(config: &Config) -> Result<Vec<BusLoad>, DaemonError> {
     }
 }
 
-/// The cyclic traffic and the heartbeats of every bus: per cycle one SYNC, and per drive one RPDO and one TPDO.
+/// The cyclic traffic and the heartbeats of every bus, as its layout makes them.
 pub fn bus_loads(config: &Config) -> Vec<BusLoad> {
     let drives = &config.drives;
-    let bytes = |bits: u32| Shape::classic(bits.div_ceil(8) as usize);
-    let rpdo = bytes(RPDO1.iter().map(|m| u32::from(m.bits)).sum());
-    let tpdo = bytes(TPDO1.iter().map(|m| u32::from(m.bits)).sum());
     drives
         .buses
         .iter()
         .enumerate()
         .map(|(index, bus)| {
-            let count = drives.drives.iter().filter(|drive| drive.bus == index).count() as f64;
-            let load = Load::new(BitRates { nominal: bus.bitrate_bps, data: bus.data_bitrate_bps })
-                .with(Shape::classic(0), Rate::PerCycle(1.0))
-                .with(rpdo, Rate::PerCycle(count))
-                .with(tpdo, Rate::PerCycle(count))
-                .with(Shape::classic(1), Rate::PerSecond((count + 1.0) / drives.heartbeat_s));
+            let count = drives.drives.iter().filter(|drive| drive.bus == index).count();
+            let rates = BitRates { nominal: bus.bitrate_bps, data: bus.data_bitrate_bps };
+            let load = layout(bus.layout).load(rates, count, drives.heartbeat_s);
             BusLoad {
                 name: bus.name.clone(),
                 share: load.share(1.0 / config.timing.period_s),
@@ -64,6 +58,13 @@ pub fn bus_loads(config: &Config) -> Vec<BusLoad> {
             }
         })
         .collect()
+}
+
+fn layout(layout: BusLayout) -> Layout {
+    match layout {
+        BusLayout::Classic => Layout::Classic,
+        BusLayout::Packed => Layout::Packed,
+    }
 }
 
 /// The motor bank. Encoders count from the straight arm: at 0 counts every cable has its length there.
@@ -128,6 +129,7 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let own = (1..=127).rev().find(|id| drives.drives.iter().all(|drive| drive.node_id != *id));
     let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
+    master.layouts = drives.buses.iter().map(|bus| layout(bus.layout)).collect();
     master.heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
     master.drive_heartbeat_ms = milliseconds(drives.heartbeat_s);
@@ -170,9 +172,13 @@ mod tests {
     use crate::config::BUILTIN_FILES;
 
     fn config(change: impl Fn(&mut Config)) -> Config {
+        config_with("drives.toml", change)
+    }
+
+    fn config_with(drives: &str, change: impl Fn(&mut Config)) -> Config {
         let texts = BUILTIN_FILES
             .iter()
-            .filter(|(name, _)| ["arm.toml", "controller.toml", "drives.toml"].contains(name))
+            .filter(|(name, _)| ["arm.toml", "controller.toml", drives].contains(name))
             .map(|(name, text)| ((*name).to_owned(), (*text).to_owned()))
             .collect();
         let mut config = Config::parse(texts).unwrap();
@@ -195,6 +201,33 @@ mod tests {
         for part in ["bus0", "70 %", "period_s"] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
+    }
+
+    #[test]
+    fn four_fd_buses_carry_a_kilohertz_where_classic_ones_are_refused() {
+        let kilohertz = |c: &mut Config| c.timing.period_s = 0.001;
+        for drives in ["drives.toml", "drives-4-buses.toml"] {
+            let error = check(&config_with(drives, kilohertz)).unwrap_err();
+            assert!(matches!(error, DaemonError::BusLoad { .. }), "{error}");
+        }
+        let loads = check(&config_with("drives-4-fd-buses.toml", kilohertz)).unwrap();
+        assert_eq!(loads.len(), 4);
+        for load in &loads {
+            assert!((0.40..0.55).contains(&load.share), "{load:?}");
+            // Above 1.6 kHz before the wire itself is full, as the design computed.
+            assert!(load.period_s_min * load.limit < 1.0 / 1600.0, "{load:?}");
+        }
+        // At 2 Mbit/s in the data phase the same traffic does not fit any more.
+        let slow = |c: &mut Config| {
+            kilohertz(c);
+            c.drives.buses.iter_mut().for_each(|bus| bus.data_bitrate_bps = 2_000_000);
+        };
+        assert!(matches!(check(&config_with("drives-4-fd-buses.toml", slow)), Err(DaemonError::BusLoad { .. })));
+    }
+
+    #[test]
+    fn the_configurations_limit_of_packed_drives_is_the_frames() {
+        assert_eq!(crate::config::PACKED_DRIVES_MAX, Layout::Packed.drives_max());
     }
 
     #[test]

@@ -46,6 +46,8 @@ pub struct BusReport {
     pub frames: u64,
     /// Frames that this process was too slow for.
     pub lost: u64,
+    /// Frames of cycles (torques and SYNC) that the bus did not take: its drives kept the torques of the cycle before.
+    pub unsent: u64,
 }
 
 /// What the bus thread knows of a bus.
@@ -55,6 +57,7 @@ pub(crate) struct BusStatus {
     pub(crate) state: String,
     pub(crate) frames: u64,
     pub(crate) lost: u64,
+    pub(crate) unsent: u64,
 }
 
 /// The drives.
@@ -260,6 +263,7 @@ impl Shared {
                 state: seen.map_or_else(String::new, |b| b.state.clone()),
                 frames: seen.map_or(0, |b| b.frames),
                 lost: seen.map_or(0, |b| b.lost),
+                unsent: seen.map_or(0, |b| b.unsent),
             }
         };
         let absent = SourceHealth::Absent.wire();

@@ -13,8 +13,6 @@ pub struct Node {
     pub inertia: Vector3<f64>,
     /// Segment (0-based).
     pub segment: usize,
-    /// Connector behind this node (m), 0 where none.
-    pub connector: f64,
 }
 
 /// A cable's passage through one element.
@@ -103,7 +101,6 @@ impl Arm {
                     mass: disk + backbone + if tip { config.payload.mass_kg } else { 0.0 },
                     inertia: Vector3::new(axial, transverse, transverse),
                     segment: s,
-                    connector: if ends { connector } else { 0.0 },
                 });
                 elements.push(Element {
                     length: l,

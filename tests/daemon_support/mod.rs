@@ -7,7 +7,7 @@ use sim_plant::rig::{Rig, Start};
 use sim_plant::server::Server;
 use sinew::config::{BUILTIN_FILES, Config};
 use sinew::daemon::status::{StatusReport, ask};
-use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, Target};
+use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, SupervisorState, Target};
 use sinew::ipc::{Client, Domain, SourcePublisher};
 use sinew_hal::virtual_bus::remove_stale;
 use std::path::PathBuf;
@@ -330,4 +330,37 @@ impl Drop for Ticker {
         let ended = self.thread.take().map(JoinHandle::join);
         assert!(ended.is_none_or(|e| e.is_ok()) || std::thread::panicking(), "the client panicked");
     }
+}
+
+/// Tensions of a run in lockstep, as bits, tick by tick.
+pub fn lockstep_run(place: &Place, seed: &str, ticks: u64) -> Vec<Vec<u64>> {
+    let _plant = Plant::start(place, true, &[]);
+    let mut daemon = place.daemon(&[
+        "--lockstep",
+        "--seed",
+        seed,
+        "--arm-on-start",
+        "--track-on-start",
+        "--await-obstacles",
+        "11",
+        "--await-target",
+        "--ticks",
+        &ticks.to_string(),
+    ]);
+    let mut client = TickClient::new(place);
+    let (mut tensions, mut tracked) = (Vec::new(), false);
+    client.run(
+        |state| state.header.tick + 1 == ticks,
+        |state: &State| {
+            assert_eq!(state.header.tick, tensions.len() as u64, "no tick is left out");
+            assert_eq!(state.fault_code, 0, "at tick {}", state.header.tick);
+            tracked |= state.supervisor == SupervisorState::Tracking.wire();
+            tensions.push(state.tension_command_n[..24].iter().map(|t| t.to_bits()).collect());
+        },
+    );
+    assert!(tracked);
+    drop(client);
+    let (status, said) = daemon.finish();
+    assert_eq!(status.code(), Some(0), "{said}");
+    tensions
 }

@@ -2,8 +2,8 @@
 
 use thiserror::Error;
 
-/// Most entries of one mapping in this crate.
-pub const ENTRIES_MAX: usize = 8;
+/// Most entries of one mapping (sub-indices 01 to 40 of its object).
+pub const ENTRIES_MAX: usize = 64;
 /// COB-ID bit: the PDO does not exist.
 pub const COB_INVALID: u32 = 1 << 31;
 /// COB-ID bit: no remote request is answered (transmit PDOs).
@@ -45,30 +45,42 @@ impl Mapped {
 /// A mapping that cannot be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum MappingError {
-    /// More than eight entries.
-    #[error("{0} entries, at most 8 are possible")]
+    /// Too many entries.
+    #[error("{0} entries, at most 64 are possible")]
     Count(usize),
-    /// More than eight bytes.
-    #[error("{0} bits, at most 64 fit a classic frame")]
-    Length(u32),
+    /// More than the frame carries.
+    #[error("{bits} bits, but the frame has {bytes_max} bytes")]
+    Length {
+        /// Bits mapped.
+        bits: u32,
+        /// Bytes of the frame.
+        bytes_max: usize,
+    },
     /// An entry that is not whole bytes, or empty.
     #[error("entry {0:08X} is not of one to eight whole bytes")]
     Granularity(u32),
 }
 
 /// The objects of one PDO in the order of its bytes; `Copy`, no heap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     entries: [Mapped; ENTRIES_MAX],
     count: usize,
 }
 
+impl Default for Mapping {
+    /// No entries.
+    fn default() -> Self {
+        Self { entries: [Mapped::default(); ENTRIES_MAX], count: 0 }
+    }
+}
+
 impl Mapping {
-    /// Checks count, granularity and total length.
+    /// Checks count, granularity and total length; a classic frame has at most 8 bytes, a CAN FD frame 64.
     ///
     /// # Errors
     /// [`MappingError`].
-    pub fn new(entries: &[Mapped]) -> Result<Self, MappingError> {
+    pub fn new(entries: &[Mapped], bytes_max: usize) -> Result<Self, MappingError> {
         if entries.len() > ENTRIES_MAX {
             return Err(MappingError::Count(entries.len()));
         }
@@ -76,8 +88,8 @@ impl Mapping {
             return Err(MappingError::Granularity(e.encode()));
         }
         let bits: u32 = entries.iter().map(|e| u32::from(e.bits)).sum();
-        if bits > 64 {
-            return Err(MappingError::Length(bits));
+        if bits as usize > 8 * bytes_max {
+            return Err(MappingError::Length { bits, bytes_max });
         }
         let mut all = [Mapped::default(); ENTRIES_MAX];
         all[..entries.len()].copy_from_slice(entries);
@@ -126,12 +138,13 @@ mod tests {
 
         #[test]
         fn splitting_arbitrary_payloads_conserves_the_bytes(
-            bytes in proptest::collection::vec(1u8..=8, 0..10), data in proptest::collection::vec(any::<u8>(), 0..65)
+            bytes in proptest::collection::vec(1u8..=8, 0..70), fd: bool, data in proptest::collection::vec(any::<u8>(), 0..65)
         ) {
             let entries: Vec<_> = bytes.iter().enumerate().map(|(i, b)| Mapped::new(0x2000 + i as u16, 0, b * 8)).collect();
             let total: usize = bytes.iter().map(|&b| usize::from(b)).sum();
-            match Mapping::new(&entries) {
-                Err(_) => prop_assert!(total > 8 || entries.len() > 8),
+            let bytes_max = if fd { 64 } else { 8 };
+            match Mapping::new(&entries, bytes_max) {
+                Err(_) => prop_assert!(total > bytes_max || entries.len() > 64),
                 Ok(m) => match m.split(&data) {
                     None => prop_assert!(data.len() < total),
                     Some(parts) => {
@@ -145,6 +158,6 @@ mod tests {
 
     #[test]
     fn partial_bytes_are_refused() {
-        assert_eq!(Mapping::new(&[Mapped::new(0x6040, 0, 12)]), Err(MappingError::Granularity(0x6040_000c)));
+        assert_eq!(Mapping::new(&[Mapped::new(0x6040, 0, 12)], 8), Err(MappingError::Granularity(0x6040_000c)));
     }
 }

@@ -1,5 +1,6 @@
 //! What the master needs to know of the drives and of time.
 
+use super::layout::Layout;
 use super::objects as o;
 use crate::canopen::NodeId;
 use thiserror::Error;
@@ -89,6 +90,8 @@ pub enum Order {
 pub struct MasterConfig {
     /// Drives in the order of cables, at most 128.
     pub drives: Vec<DriveSetup>,
+    /// Layout of each bus; a bus beyond the end of the list has the classic one.
+    pub layouts: Vec<Layout>,
     /// The master's own node id, under which its heartbeat runs.
     pub node: NodeId,
     /// Period of the master's heartbeat (ms).
@@ -123,6 +126,7 @@ impl MasterConfig {
     pub fn new(drives: Vec<DriveSetup>, node: NodeId, cycle_us: u32) -> Self {
         Self {
             drives,
+            layouts: Vec::new(),
             node,
             heartbeat_ms: 50,
             heartbeat_timeout_ms: 200,
@@ -137,6 +141,18 @@ impl MasterConfig {
             order_of_enabling: Order::Parallel,
             order_of_disabling: Order::Parallel,
         }
+    }
+
+    /// Layout of a bus.
+    pub fn layout(&self, bus: usize) -> Layout {
+        self.layouts.get(bus).copied().unwrap_or_default()
+    }
+
+    /// Rank of a drive among the drives of its bus, and how many these are.
+    pub(crate) fn rank(&self, drive: usize) -> (usize, usize) {
+        let Some(own) = self.drives.get(drive) else { return (0, 0) };
+        let on_its_bus = |drives: &[DriveSetup]| drives.iter().filter(|d| d.bus == own.bus).count();
+        (on_its_bus(&self.drives[..drive]), on_its_bus(&self.drives))
     }
 
     /// Checks what can be checked before a frame is sent.
@@ -156,6 +172,12 @@ impl MasterConfig {
             }
             if let Some(j) = self.drives[..i].iter().position(|e| (e.bus, e.node) == (d.bus, d.node)) {
                 return Err(SetupError::Twice { first: j, second: i, bus: d.bus, node: d.node });
+            }
+        }
+        for bus in 0..buses {
+            let (found, most) = (self.drives.iter().filter(|d| d.bus == bus).count(), self.layout(bus).drives_max());
+            if found > most {
+                return Err(SetupError::Full { bus, found, most });
             }
         }
         for (name, period, timeout) in [
@@ -185,6 +207,8 @@ pub enum SetupError {
     MastersNode { drive: usize, node: NodeId },
     #[error("drives {first} and {second} both have node id {node} on bus {bus}")]
     Twice { first: usize, second: usize, bus: usize, node: NodeId },
+    #[error("bus {bus} has {found} drives, but its layout has places for {most}")]
+    Full { bus: usize, found: usize, most: usize },
     #[error("{name}: period {period} ms must be above 0 and below its time-out of {timeout} ms")]
     Heartbeat { name: &'static str, period: u16, timeout: u16 },
     #[error("the cycle must be longer than 0 us")]

@@ -3,10 +3,11 @@
 //! Neither side allocates, blocks or formats after it is made. They share one counter, the number of the cycle, and the
 //! controlwords that the master's slow side sets.
 
+use super::layout::{Layout, SLOT_BYTES, packed_frame};
 use super::objects::{decode_tpdo1, encode_rpdo1};
-use crate::can::{CanBus, Frame, Id, Kind, Received, SendError};
+use crate::can::{CanBus, DATA_LEN_MAX, Frame, FrameError, Id, Kind, Received, SendError};
 use crate::canopen::NodeId;
-use crate::canopen::cob::{RPDO, SYNC, TPDO};
+use crate::canopen::cob::{self, RPDO, SYNC, TPDO};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
 
@@ -46,6 +47,8 @@ impl DriveMask {
 pub(crate) struct Shared {
     pub(crate) controlwords: Box<[AtomicU16]>,
     pub(crate) cycle: AtomicU64,
+    /// Frames of cycles that a bus did not take, by bus.
+    pub(crate) unsent: Box<[AtomicU64]>,
 }
 
 /// Where a drive is.
@@ -53,6 +56,8 @@ pub(crate) struct Shared {
 pub(crate) struct Address {
     pub(crate) bus: usize,
     pub(crate) node: NodeId,
+    /// Among the drives of its bus.
+    pub(crate) rank: usize,
     pub(crate) torque_permille_max: i16,
 }
 
@@ -61,7 +66,8 @@ pub(crate) struct Address {
 pub struct CycleReport {
     /// Number of the cycle, from 1.
     pub cycle: u64,
-    /// Drives whose RPDO was not taken by their bus: they keep the torque of the cycle before.
+    /// Drives whose RPDO was not taken by their bus: they keep the torque of the cycle before. In the packed layout that
+    /// is all drives of the bus or none.
     pub not_sent: DriveMask,
     /// Drives whose torque was cut to their limit.
     pub limited: DriveMask,
@@ -71,14 +77,42 @@ pub struct CycleReport {
     pub error: Option<SendError>,
 }
 
+/// The RPDO that all drives of a packed bus share, as it grows.
+struct Packed {
+    slots: [u8; DATA_LEN_MAX],
+    used: usize,
+    drives: DriveMask,
+}
+
 /// Sends torques; belongs to the control thread.
 pub struct CycleWriter {
-    pub(crate) buses: Vec<Box<dyn CanBus>>,
-    pub(crate) drives: Vec<Address>,
-    pub(crate) shared: Arc<Shared>,
+    buses: Vec<Box<dyn CanBus>>,
+    drives: Vec<Address>,
+    /// By bus; `None` where each drive has an RPDO of its own.
+    packed: Vec<Option<Packed>>,
+    shared: Arc<Shared>,
 }
 
 impl CycleWriter {
+    /// `layouts` by bus.
+    pub(crate) fn new(
+        buses: Vec<Box<dyn CanBus>>,
+        drives: Vec<Address>,
+        layouts: Vec<Layout>,
+        shared: Arc<Shared>,
+    ) -> Self {
+        let packed = |(bus, layout)| {
+            let mut all = Packed { slots: [0; DATA_LEN_MAX], used: 0, drives: DriveMask::default() };
+            for (i, d) in drives.iter().enumerate().filter(|(_, d)| d.bus == bus) {
+                all.drives.insert(i);
+                all.used = all.used.max((d.rank + 1) * SLOT_BYTES);
+            }
+            (layout == Layout::Packed && all.used > 0).then_some(all)
+        };
+        let packed = layouts.into_iter().enumerate().map(packed).collect();
+        Self { buses, drives, packed, shared }
+    }
+
     /// Number of drives.
     pub fn drive_count(&self) -> usize {
         self.drives.len()
@@ -90,31 +124,50 @@ impl CycleWriter {
         // Counted before SYNC leaves, so that the receive side never sees a SYNC whose number is not there yet.
         let cycle = self.shared.cycle.fetch_add(1, Ordering::AcqRel) + 1;
         let mut report = CycleReport { cycle, ..CycleReport::default() };
-        for (i, d) in self.drives.iter().enumerate() {
+        for i in 0..self.drives.len() {
+            let d = self.drives[i];
             let wanted = torques_permille.get(i).copied().unwrap_or(0);
             let torque = wanted.clamp(-d.torque_permille_max, d.torque_permille_max);
             if torque != wanted {
                 report.limited.insert(i);
             }
             let word = self.shared.controlwords[i].load(Ordering::Acquire);
-            if let Err(e) = send(&mut self.buses, d.bus, d.node.cob(RPDO), &encode_rpdo1(word, torque)) {
+            let slot = encode_rpdo1(word, torque);
+            if let Some(Some(packed)) = self.packed.get_mut(d.bus) {
+                packed.slots[d.rank * SLOT_BYTES..][..SLOT_BYTES].copy_from_slice(&slot);
+            } else if let Err(e) = self.send(d.bus, cob::frame(d.node.cob(RPDO), &slot)) {
                 report.not_sent.insert(i);
                 report.error.get_or_insert(e);
             }
         }
         for bus in 0..self.buses.len() {
-            if let Err(e) = send(&mut self.buses, bus, SYNC, &[]) {
+            if let Some(Some(packed)) = self.packed.get(bus) {
+                let (frame, drives) = (packed_frame(&packed.slots[..packed.used]), packed.drives);
+                if let Err(e) = self.send(bus, frame) {
+                    report.not_sent.0 |= drives.0;
+                    report.error.get_or_insert(e);
+                }
+            }
+        }
+        for bus in 0..self.buses.len() {
+            if let Err(e) = self.send(bus, cob::frame(SYNC, &[])) {
                 report.sync_not_sent |= 1u32.checked_shl(bus as u32).unwrap_or(0);
                 report.error.get_or_insert(e);
             }
         }
         report
     }
-}
 
-fn send(buses: &mut [Box<dyn CanBus>], bus: usize, id: u16, data: &[u8]) -> Result<(), SendError> {
-    let frame = Frame::classic(Id::Standard(id), data).map_err(|_| SendError::Unsupported)?;
-    buses.get_mut(bus).ok_or(SendError::Unsupported)?.send(&frame)
+    fn send(&mut self, bus: usize, frame: Result<Frame, FrameError>) -> Result<(), SendError> {
+        let line = self.buses.get_mut(bus).ok_or(SendError::Unsupported)?;
+        let sent = frame.map_err(|_| SendError::Unsupported).and_then(|frame| line.send(&frame));
+        if sent.is_err()
+            && let Some(unsent) = self.shared.unsent.get(bus)
+        {
+            unsent.fetch_add(1, Ordering::Relaxed);
+        }
+        sent
+    }
 }
 
 /// Last feedback of a drive.

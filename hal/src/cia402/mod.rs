@@ -7,13 +7,15 @@
 //! * [`state`]: the power drive state machine; [`objects`]: indices and the two PDOs;
 //! * [`config`]: drives and times; [`script`]: the SDO script of one drive; [`master`]: many drives through boot-up,
 //!   configuration, enabling, disabling, fault reset, and their supervision; [`fault`]: everything that can go wrong;
+//! * [`layout`]: which frames carry the cyclic traffic, in classic CAN and in CAN FD;
 //! * [`cyclic`]: torques out and feedback in, for the control thread and the receive thread;
-//! * [`dbc`]: the DBC file of the cyclic traffic.
+//! * [`dbc`]: the DBC files of the cyclic traffic.
 
 pub mod config;
 pub mod cyclic;
 pub mod dbc;
 pub mod fault;
+pub mod layout;
 pub mod master;
 pub mod objects;
 pub mod script;
@@ -22,5 +24,6 @@ pub mod state;
 pub use config::{DriveSetup, Identity, MasterConfig, ObjectWrite, Order};
 pub use cyclic::{CycleReport, CycleWriter, Decoder, DriveMask, Event, Feedback};
 pub use fault::{DriveFault, Fault};
+pub use layout::Layout;
 pub use master::{Goal, Master, Phase, Progress};
 pub use state::{Command, State};

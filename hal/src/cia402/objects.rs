@@ -30,6 +30,9 @@ pub const TPDO_COMMUNICATION: u16 = 0x1800;
 pub const TPDO_MAPPING: u16 = 0x1a00;
 /// Sinew's own: communication guard; sub 1 SYNC timeout (us, 0 off), sub 2 safe torque (per mille of rated torque).
 pub const GUARD: u16 = 0x2000;
+/// Sinew's own: frames in which a drive sends its PDOs and how long they may be; [`PDO_FORMAT_CLASSIC`],
+/// [`PDO_FORMAT_FD`] or [`PDO_FORMAT_FD_BRS`].
+pub const PDO_FORMAT: u16 = 0x2002;
 /// Abort connection option code: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop.
 pub const ABORT_CONNECTION: u16 = 0x6007;
 /// Error code of the latest fault.
@@ -62,6 +65,13 @@ pub const TORQUE: u16 = 0x6077;
 pub const TORQUE_SLOPE: u16 = 0x6087;
 /// Supported drive modes; bit 9 is cyclic synchronous torque.
 pub const SUPPORTED_MODES: u16 = 0x6502;
+
+/// [`PDO_FORMAT`]: classic frames, at most 8 bytes (power-up value).
+pub const PDO_FORMAT_CLASSIC: u8 = 0;
+/// [`PDO_FORMAT`]: CAN FD frames at one bit rate, at most 64 bytes.
+pub const PDO_FORMAT_FD: u8 = 1;
+/// [`PDO_FORMAT`]: CAN FD frames with bit-rate switch, at most 64 bytes.
+pub const PDO_FORMAT_FD_BRS: u8 = 2;
 
 /// Mode of operation: cyclic synchronous torque.
 pub const MODE_CST: i8 = 10;

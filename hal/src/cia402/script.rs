@@ -1,9 +1,10 @@
 //! The SDO script of one drive: what is checked, written and read back before it may become operational.
 
-use super::config::{DriveSetup, MasterConfig};
+use super::config::MasterConfig;
 use super::fault::Fault;
+use super::layout::Layout;
 use super::objects as o;
-use crate::canopen::cob::{RPDO, TPDO};
+use crate::canopen::cob::TPDO;
 use crate::canopen::pdo::{COB_INVALID, COB_NO_RTR, Mapped};
 use crate::canopen::sdo::AbortCode;
 use crate::canopen::sdo_client::{Outcome, SdoClient, SdoError};
@@ -43,9 +44,10 @@ pub enum Step {
     RatedTorque,
 }
 
-/// The whole script of a drive.
-pub fn script(config: &MasterConfig, drive: &DriveSetup) -> Vec<Step> {
-    let mut steps = Vec::with_capacity(48);
+/// The whole script of the drive with this index; empty without such a drive.
+pub fn script(config: &MasterConfig, index: usize) -> Vec<Step> {
+    let Some(drive) = config.drives.get(index) else { return Vec::new() };
+    let mut steps = Vec::with_capacity(64);
     let check = |index, sub, len, expected, mask| Step::Check { index, sub, len, expected, mask, tries: 1 };
     let write =
         |index, sub, data: &[u8]| Step::Write { index, sub, data: data.to_vec(), mask: u32::MAX, optional: false };
@@ -71,9 +73,15 @@ pub fn script(config: &MasterConfig, drive: &DriveSetup) -> Vec<Step> {
     steps.push(write(o::ABORT_CONNECTION, 0, &1i16.to_le_bytes()));
     steps.push(optional(o::CYCLE_PERIOD, 0, &config.cycle_us.to_le_bytes()));
 
-    let rpdo = u32::from(drive.node.cob(RPDO));
+    let layout = config.layout(drive.bus);
+    let (rank, count) = config.rank(index);
+    let (rpdo, rpdo_mapping) = layout.rpdo(drive.node, rank, count);
+    if layout == Layout::Packed {
+        // First, for it decides how long a mapping may be. The classic format is what a reset left behind.
+        steps.push(write(o::PDO_FORMAT, 0, &[o::PDO_FORMAT_FD_BRS]));
+    }
     let tpdo = u32::from(drive.node.cob(TPDO)) | COB_NO_RTR;
-    pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, rpdo, &o::RPDO1);
+    pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, u32::from(rpdo), &rpdo_mapping);
     pdo(&mut steps, o::TPDO_COMMUNICATION, o::TPDO_MAPPING, tpdo, &o::TPDO1);
 
     steps.push(write(o::MAX_TORQUE, 0, &drive.torque_permille_max.to_le_bytes()));
@@ -144,17 +152,17 @@ pub struct Runner {
 }
 
 impl Runner {
-    /// A script at its first step.
-    pub fn new(config: &MasterConfig, drive: &DriveSetup) -> Self {
+    /// The script of the drive with this index, at its first step.
+    pub fn new(config: &MasterConfig, index: usize) -> Self {
         Self {
-            steps: script(config, drive),
+            steps: script(config, index),
             at: 0,
             client: SdoClient::new(u64::from(config.sdo_timeout_ms) * 1_000_000),
             reading_back: false,
             retries: 0,
             retries_max: config.sdo_retries,
             tries: 0,
-            rated_expected: drive.rated_torque_mnm,
+            rated_expected: config.drives.get(index).and_then(|d| d.rated_torque_mnm),
             rated_torque_mnm: None,
             absent: Vec::new(),
         }

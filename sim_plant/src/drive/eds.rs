@@ -45,7 +45,7 @@ fn header(t: &mut String) {
          BaudRate_50=0\nBaudRate_125=1\nBaudRate_250=1\nBaudRate_500=1\nBaudRate_800=1\nBaudRate_1000=1\n\
          SimpleBootUpMaster=0\nSimpleBootUpSlave=1\nGranularity=8\nDynamicChannelsSupported=0\nGroupMessaging=0\n\
          NrOfRXPDO={PDOS}\nNrOfTXPDO={PDOS}\nLSS_Supported=0\n\n\
-         [DummyUsage]\nDummy0001=0\nDummy0002=0\nDummy0003=0\nDummy0004=0\nDummy0005=0\nDummy0006=0\nDummy0007=0\n\n\
+         [DummyUsage]\nDummy0001=0\nDummy0002=1\nDummy0003=1\nDummy0004=1\nDummy0005=1\nDummy0006=1\nDummy0007=1\n\n\
          [Comments]\nLines=2\nLine1=Safe torque 2000:02 is applied after a loss of heartbeat or SYNC, also in the state fault.\n\
          Line2=Each PDO maps up to {MAPPED_MAX} objects of whole bytes.\n\n"
     );

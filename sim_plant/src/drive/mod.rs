@@ -7,7 +7,7 @@
 //!
 //! * [`objects`]: the object dictionary as a table; [`eds`]: the same as an EDS file;
 //! * [`pdo`]: communication parameters and mappings, with the procedure of CiA 301 for changing them;
-//! * [`machine`]: the drive itself; [`bank`]: many drives on one bus handle.
+//! * [`machine`]: the drive itself, its SDO access and its PDO traffic; [`bank`]: many drives on one bus handle.
 //!
 //! Protection: on loss of a consumed heartbeat, or of SYNC while torque is on, the torque goes to the declared safe
 //! value (2000:02) with the declared slope (6087), an emergency object is sent, and the fault stays latched until it is

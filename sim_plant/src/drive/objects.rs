@@ -8,8 +8,8 @@ use DataType::{I8, I16, I32, U8, U16, U32, VisibleString};
 
 /// Number of receive and of transmit PDOs.
 pub const PDOS: u16 = 4;
-/// Entries of a mapping.
-pub const MAPPED_MAX: u8 = 8;
+/// Entries of a mapping: what the packed layout needs at its fullest, two of its own beside 15 dummies.
+pub const MAPPED_MAX: u8 = 17;
 /// Length of the error history (object 1003).
 pub const HISTORY: u8 = 8;
 /// Heartbeats that can be consumed (object 1016).
@@ -83,6 +83,7 @@ fn limits(index: u16, sub: u8) -> Option<(i64, i64)> {
         (o::ERROR_BEHAVIOUR, 1) => Some((0, 2)),
         (o::ABORT_CONNECTION, 0) => Some((0, 3)),
         (o::GUARD, 2) => Some((-1000, 1000)),
+        (o::PDO_FORMAT, 0) => Some((o::PDO_FORMAT_CLASSIC.into(), o::PDO_FORMAT_FD_BRS.into())),
         (0x1600..=0x1603 | 0x1a00..=0x1a03, 0) => Some((0, i64::from(MAPPED_MAX))),
         _ => None,
     }
@@ -105,6 +106,8 @@ pub fn dictionary(node: u8, nameplate: Nameplate) -> ObjectDictionary {
         ],
     );
     t.text(LABEL, "Label of the drive", Rw, "unlabelled");
+    let classic = o::PDO_FORMAT_CLASSIC.into();
+    t.var(o::PDO_FORMAT, "PDO frames: 0 classic, 1 FD, 2 FD with bit-rate switch", U8, Rw, false, classic);
     profile(&mut t, nameplate);
     t.0
 }

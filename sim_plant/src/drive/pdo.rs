@@ -2,9 +2,13 @@
 //!
 //! Changing a mapping follows CiA 301, 7.5.2.36: the PDO is made invalid (bit 31 of its COB-ID), the number of entries
 //! is set to 0, the entries are written, the number is set, the PDO is made valid. Any other order is refused.
+//!
+//! An RPDO may be shared with other nodes: what is theirs is mapped by the indices of data types as dummies (0002 to
+//! 0007). Object 2002 says whether PDOs are classic frames of at most 8 bytes or CAN FD frames of at most 64.
 
 use super::objects::{MAPPED_MAX, PDOS};
-use sinew_hal::canopen::dictionary::{Access, ObjectDictionary};
+use sinew_hal::can::{DATA_LEN_MAX, Kind};
+use sinew_hal::canopen::dictionary::{Access, DataType, ObjectDictionary};
 use sinew_hal::canopen::pdo::{COB_INVALID, Mapped, Mapping};
 use sinew_hal::canopen::sdo::AbortCode;
 use sinew_hal::cia402::objects as o;
@@ -50,7 +54,7 @@ impl Pdo {
             transmission: dictionary.int(communication + n, 2) as u8,
             inhibit_ns: dictionary.int(communication + n, 3).unsigned_abs() * 100_000,
             event_ns: dictionary.int(communication + n, 5).unsigned_abs() * 1_000_000,
-            mapping: Mapping::new(&entries).unwrap_or_default(),
+            mapping: Mapping::new(&entries, DATA_LEN_MAX).unwrap_or_default(),
         }
     }
 }
@@ -80,6 +84,31 @@ pub fn parameter(index: u16) -> Option<(Direction, u16, bool)> {
 /// Identifiers that CiA 301 reserves (table 42).
 fn restricted(cob: u32) -> bool {
     matches!(cob, 0..=0x7f | 0x80 | 0x101..=0x180 | 0x581..=0x5ff | 0x601..=0x67f | 0x6e0..=0x6ff | 0x701..=0x7ff)
+}
+
+/// Most bytes of a classic frame.
+const CLASSIC_MAX: usize = 8;
+
+/// Frames in which PDOs travel, object 2002.
+pub fn frame_kind(dictionary: &ObjectDictionary) -> Kind {
+    match dictionary.int(o::PDO_FORMAT, 0) {
+        f if f == i64::from(o::PDO_FORMAT_FD) => Kind::Fd { bit_rate_switch: false },
+        f if f == i64::from(o::PDO_FORMAT_FD_BRS) => Kind::Fd { bit_rate_switch: true },
+        _ => Kind::Classic,
+    }
+}
+
+/// Checks a write to object 2002: classic frames do not carry a longer mapping.
+///
+/// # Errors
+/// [`AbortCode::PDO_LENGTH`].
+pub fn check_format(dictionary: &ObjectDictionary, value: i64) -> Result<(), AbortCode> {
+    let too_long = |direction| (0..PDOS).any(|n| Pdo::of(dictionary, direction, n).mapping.len() > CLASSIC_MAX);
+    let classic = value == i64::from(o::PDO_FORMAT_CLASSIC);
+    if classic && (too_long(Direction::Receive) || too_long(Direction::Transmit)) {
+        return Err(AbortCode::PDO_LENGTH);
+    }
+    Ok(())
 }
 
 /// Checks a write to a PDO parameter beyond type, access and limits.
@@ -114,7 +143,8 @@ pub fn check(dictionary: &ObjectDictionary, index: u16, sub: u8, value: i64) -> 
             for e in &entries {
                 check_entry(dictionary, direction, *e)?;
             }
-            Mapping::new(&entries).map(|_| ()).map_err(|_| AbortCode::PDO_LENGTH)
+            let bytes_max = if frame_kind(dictionary) == Kind::Classic { CLASSIC_MAX } else { DATA_LEN_MAX };
+            Mapping::new(&entries, bytes_max).map(|_| ()).map_err(|_| AbortCode::PDO_LENGTH)
         }
         (false, _) if dictionary.int(mapping_base + n, 0) != 0 => Err(AbortCode::UNSUPPORTED_ACCESS),
         (false, _) if value == 0 => Ok(()),
@@ -122,7 +152,20 @@ pub fn check(dictionary: &ObjectDictionary, index: u16, sub: u8, value: i64) -> 
     }
 }
 
+/// Length (bytes) of the type at this index, if it may stand for what belongs to another node. BOOLEAN (0001) is of one
+/// bit and would need a finer granularity than bytes.
+fn dummy_size(index: u16) -> Option<usize> {
+    [DataType::I8, DataType::I16, DataType::I32, DataType::U8, DataType::U16, DataType::U32]
+        .into_iter()
+        .find(|t| t.code() == index)
+        .and_then(DataType::size)
+}
+
 fn check_entry(dictionary: &ObjectDictionary, direction: Direction, e: Mapped) -> Result<(), AbortCode> {
+    if let Some(size) = dummy_size(e.index) {
+        let fits = direction == Direction::Receive && e.sub == 0 && size == e.bytes() && e.bits.is_multiple_of(8);
+        return if fits { Ok(()) } else { Err(AbortCode::NOT_MAPPABLE) };
+    }
     let d = dictionary.description(e.index, e.sub).ok_or(AbortCode::NO_OBJECT)?;
     let access = match direction {
         Direction::Receive => matches!(d.access, Access::Rw | Access::Rww),

@@ -1,15 +1,20 @@
 //! The drive: NMT slave, SDO server, PDOs, heartbeats, emergency objects, power state machine, torque.
 
-use super::objects::{CONSUMERS, HISTORY, Nameplate, PDOS, dictionary};
-use super::pdo::{self, Direction, Pdo};
+mod access;
+mod traffic;
+
+use super::objects::{CONSUMERS, HISTORY, Nameplate, dictionary};
+use super::pdo;
+use access::Objects;
 use sinew_hal::can::{Frame, Id, Kind};
 use sinew_hal::canopen::cob::{self, NodeId};
 use sinew_hal::canopen::emcy::{code, register};
-use sinew_hal::canopen::sdo_server::{ObjectAccess, SdoServer};
-use sinew_hal::canopen::{AbortCode, Emergency, Message, NmtCommand, NmtState, ObjectDictionary};
+use sinew_hal::canopen::sdo_server::SdoServer;
+use sinew_hal::canopen::{Emergency, Message, NmtCommand, NmtState, ObjectDictionary};
 use sinew_hal::cia402::objects as o;
 use sinew_hal::cia402::state::{Command, FOLLOWS_TARGET, INTERNAL_LIMIT, REMOTE, State, VOLTAGE_ENABLED};
 use std::collections::VecDeque;
+use traffic::Traffic;
 
 /// A consumed heartbeat (object 1016).
 #[derive(Debug, Clone, Copy, Default)]
@@ -31,13 +36,7 @@ pub struct Drive {
     nmt: NmtState,
     state: State,
     controlword: u16,
-    rpdo: [Pdo; PDOS as usize],
-    tpdo: [Pdo; PDOS as usize],
-    /// Payload of a synchronous RPDO that waits for SYNC.
-    waiting: [Option<([u8; 8], usize)>; PDOS as usize],
-    /// SYNCs since the last transmission, time of it, and what was sent.
-    sent: [(u8, u64, Vec<u8>); PDOS as usize],
-    pdo_length_wrong: bool,
+    traffic: Traffic,
     heartbeat_due_ns: Option<u64>,
     consumers: [Consumer; CONSUMERS as usize],
     sync_ns: Option<u64>,
@@ -48,55 +47,6 @@ pub struct Drive {
     fault_torque: f64,
     now_ns: u64,
     syncs: u64,
-}
-
-/// The dictionary with the drive's meaning behind it, as the SDO server needs it.
-struct Objects<'a> {
-    dictionary: &'a mut ObjectDictionary,
-    written: Option<(u16, u8)>,
-}
-
-impl ObjectAccess for Objects<'_> {
-    fn read(&mut self, index: u16, sub: u8) -> Result<Vec<u8>, AbortCode> {
-        if index == o::ERROR_FIELD && i64::from(sub) > self.dictionary.int(index, 0) && sub <= HISTORY {
-            return Err(AbortCode::NO_DATA);
-        }
-        self.dictionary.read(index, sub)
-    }
-
-    fn write(&mut self, index: u16, sub: u8, data: &[u8]) -> Result<(), AbortCode> {
-        if self.dictionary.description(index, sub).is_some_and(|d| d.data_type.size().is_some()) {
-            let value = self.dictionary.check_int(index, sub, data)?;
-            pdo::check(self.dictionary, index, sub, value)?;
-            match index {
-                o::MODE if value != 0 && value != i64::from(o::MODE_CST) => return Err(AbortCode::VALUE_RANGE),
-                o::QUICK_STOP_OPTION if !matches!(value, 0 | 2 | 6) => return Err(AbortCode::VALUE_RANGE),
-                o::HEARTBEAT_CONSUMER => self.check_consumer(sub, value)?,
-                _ => {}
-            }
-        }
-        self.dictionary.write(index, sub, data)?;
-        self.written = Some((index, sub));
-        Ok(())
-    }
-
-    fn check_write(&mut self, index: u16, sub: u8) -> Result<(), AbortCode> {
-        self.dictionary.check_write(index, sub)
-    }
-}
-
-impl Objects<'_> {
-    fn check_consumer(&self, sub: u8, value: i64) -> Result<(), AbortCode> {
-        let (node, time) = (value >> 16 & 0xff, value & 0xffff);
-        if value >> 24 != 0 || node > 127 {
-            return Err(AbortCode::PARAMETER);
-        }
-        let twice = (1..=CONSUMERS).filter(|&s| s != sub).any(|s| {
-            let other = self.dictionary.int(o::HEARTBEAT_CONSUMER, s);
-            other & 0xffff != 0 && other >> 16 & 0xff == node
-        });
-        if time != 0 && node != 0 && twice { Err(AbortCode::PARAMETER) } else { Ok(()) }
-    }
 }
 
 impl Drive {
@@ -110,11 +60,7 @@ impl Drive {
             nmt: NmtState::BootUp,
             state: State::NotReadyToSwitchOn,
             controlword: 0,
-            rpdo: Default::default(),
-            tpdo: Default::default(),
-            waiting: Default::default(),
-            sent: Default::default(),
-            pdo_length_wrong: false,
+            traffic: Traffic::default(),
             heartbeat_due_ns: None,
             consumers: Default::default(),
             sync_ns: None,
@@ -190,9 +136,7 @@ impl Drive {
         self.dictionary.reset(indices);
         self.nmt = NmtState::BootUp;
         self.sdo = SdoServer::new();
-        self.waiting = Default::default();
-        self.sent = Default::default();
-        self.pdo_length_wrong = false;
+        self.traffic = Traffic::default();
         self.consumers = Default::default();
         self.sync_ns = None;
         self.sync_lost = false;
@@ -203,15 +147,8 @@ impl Drive {
             self.torque = 0.0;
             self.fault_torque = 0.0;
         }
-        self.load_pdos();
+        self.traffic.load(&self.dictionary);
         self.refresh_state_objects();
-    }
-
-    fn load_pdos(&mut self) {
-        for n in 0..PDOS {
-            self.rpdo[usize::from(n)] = Pdo::of(&self.dictionary, Direction::Receive, n);
-            self.tpdo[usize::from(n)] = Pdo::of(&self.dictionary, Direction::Transmit, n);
-        }
     }
 
     /// Boot-up, heartbeat, monitoring, slopes, event timers.
@@ -291,7 +228,7 @@ impl Drive {
         if error_register & register::COMMUNICATION == 0 {
             self.torque = 0.0; // the device itself failed: no slope
         }
-        self.waiting = Default::default();
+        self.traffic.drop_waiting();
         self.dictionary.set_int(o::ERROR_CODE, 0, error_code.into());
         self.slope(0);
         self.refresh_state_objects();
@@ -424,10 +361,8 @@ impl Drive {
             _ => {}
         }
         if self.nmt == NmtState::Operational {
-            for n in 0..usize::from(PDOS) {
-                if self.rpdo[n].cob == Some(id) {
-                    self.on_rpdo(n, frame.data());
-                }
+            for n in self.traffic.consumers(id) {
+                self.on_rpdo(n, frame);
             }
         }
         self.refresh_state_objects();
@@ -440,8 +375,7 @@ impl Drive {
                 if self.nmt != NmtState::Operational {
                     self.nmt = NmtState::Operational;
                     self.sync_ns = None;
-                    self.waiting = Default::default();
-                    self.sent = Default::default();
+                    self.traffic.begin();
                 }
             }
             NmtCommand::Stop => self.leave_operational(NmtState::Stopped),
@@ -462,7 +396,7 @@ impl Drive {
     fn leave_operational(&mut self, to: NmtState) {
         let was = std::mem::replace(&mut self.nmt, to);
         self.sync_ns = None;
-        self.waiting = Default::default();
+        self.traffic.drop_waiting();
         if was == NmtState::Operational && self.state == State::OperationEnabled {
             // Reported before stopped takes effect: a stopped node sends no emergency objects.
             self.nmt = if to == NmtState::Stopped { NmtState::PreOperational } else { to };
@@ -513,140 +447,11 @@ impl Drive {
             // The history is cleared by writing 0 to its count.
             o::ERROR_FIELD => (1..=HISTORY).for_each(|s| self.dictionary.set_int(o::ERROR_FIELD, s, 0)),
             _ if pdo::parameter(index).is_some() => {
-                self.load_pdos();
-                self.waiting = Default::default();
+                self.traffic.load(&self.dictionary);
+                self.traffic.drop_waiting();
             }
             _ => {}
         }
         self.refresh_state_objects();
-    }
-
-    fn on_rpdo(&mut self, n: usize, data: &[u8]) {
-        let pdo = self.rpdo[n];
-        if data.len() < pdo.mapping.len() {
-            if !self.pdo_length_wrong {
-                self.pdo_length_wrong = true;
-                self.report(code::PDO_LENGTH, register::COMMUNICATION, [n as u8 + 1, data.len() as u8, 0, 0, 0]);
-            }
-            return;
-        }
-        self.pdo_length_wrong = false;
-        let len = pdo.mapping.len().min(8);
-        let mut bytes = [0; 8];
-        bytes[..len].copy_from_slice(&data[..len]);
-        if pdo.is_synchronous() {
-            self.waiting[n] = Some((bytes, len));
-        } else {
-            self.apply_rpdo(n, &bytes[..len]);
-        }
-    }
-
-    /// Takes over an RPDO's values. The controlword comes last, so that a torque in the same PDO is already there when
-    /// the state changes.
-    fn apply_rpdo(&mut self, n: usize, data: &[u8]) {
-        let mapping = self.rpdo[n].mapping;
-        let Some(parts) = mapping.split(data) else { return };
-        let mut controlword = None;
-        for (entry, bytes) in parts {
-            // A value out of its range is ignored, as an SDO write would be refused.
-            let Ok(value) = self.dictionary.check_int(entry.index, entry.sub, bytes) else { continue };
-            if entry.index == o::MODE && value != 0 && value != i64::from(o::MODE_CST) {
-                continue;
-            }
-            self.dictionary.set_int(entry.index, entry.sub, value);
-            if entry.index == o::CONTROLWORD {
-                controlword = Some(value as u16);
-            }
-        }
-        if let Some(word) = controlword {
-            self.on_controlword(word);
-        }
-        self.slope(0);
-    }
-
-    /// SYNC: waiting targets take effect, then the state as it now is is sent.
-    fn on_sync(&mut self) {
-        self.latch();
-        self.answer();
-    }
-
-    /// First half of a SYNC on its own, for a plant in lockstep: waiting targets take effect. The plant then advances by
-    /// a period, and [`Self::answer_sync`] sends what it measured at the end of it.
-    pub fn latch_sync(&mut self, now_ns: u64) {
-        self.poll(now_ns);
-        if self.nmt == NmtState::Operational {
-            self.latch();
-            self.refresh_state_objects();
-        }
-    }
-
-    /// Second half of a SYNC: synchronous TPDOs with the feedback as it now is.
-    pub fn answer_sync(&mut self, now_ns: u64) {
-        self.poll(now_ns);
-        if self.nmt == NmtState::Operational {
-            self.answer();
-            self.event_driven();
-        }
-    }
-
-    fn latch(&mut self) {
-        self.syncs += 1;
-        self.sync_ns = Some(self.now_ns);
-        self.sync_lost = false;
-        for n in 0..usize::from(PDOS) {
-            if let Some((bytes, len)) = self.waiting[n].take() {
-                self.apply_rpdo(n, &bytes[..len]);
-            }
-        }
-    }
-
-    fn answer(&mut self) {
-        self.refresh_state_objects();
-        for n in 0..usize::from(PDOS) {
-            let pdo = self.tpdo[n];
-            if pdo.cob.is_none() || !pdo.is_synchronous() {
-                continue;
-            }
-            let payload = self.payload(n);
-            let (count, _, last) = &mut self.sent[n];
-            *count = count.saturating_add(1);
-            let due = if pdo.transmission == 0 { *last != payload } else { *count >= pdo.transmission };
-            if due {
-                self.transmit(n, payload);
-            }
-        }
-    }
-
-    fn payload(&self, n: usize) -> Vec<u8> {
-        let entries = self.tpdo[n].mapping;
-        entries.entries().iter().flat_map(|e| self.dictionary.read(e.index, e.sub).unwrap_or_default()).collect()
-    }
-
-    fn transmit(&mut self, n: usize, payload: Vec<u8>) {
-        if let Some(cob) = self.tpdo[n].cob
-            && let Ok(f) = cob::frame(cob, &payload)
-        {
-            self.out.push_back(f);
-        }
-        self.sent[n] = (0, self.now_ns, payload);
-    }
-
-    /// Event-driven TPDOs: on a change, at the earliest after the inhibit time, at the latest after the event timer.
-    fn event_driven(&mut self) {
-        if self.nmt != NmtState::Operational {
-            return;
-        }
-        for n in 0..usize::from(PDOS) {
-            let pdo = self.tpdo[n];
-            if pdo.cob.is_none() || pdo.is_synchronous() {
-                continue;
-            }
-            let payload = self.payload(n);
-            let since = self.now_ns.saturating_sub(self.sent[n].1);
-            let changed = self.sent[n].2 != payload && (since >= pdo.inhibit_ns || self.sent[n].2.is_empty());
-            if changed || (pdo.event_ns != 0 && since >= pdo.event_ns) {
-                self.transmit(n, payload);
-            }
-        }
     }
 }

@@ -4,13 +4,24 @@
 //! waits. It sends on handles of its own; the control thread has the [`CycleWriter`]. As long as the writer has not
 //! been taken, the master itself sends cycles of zero torque, so that state changes, which travel in RPDO 1 and count
 //! from the next SYNC on, happen without a control loop.
+//!
+//! Enters: frames, the time, the goal. Leaves: frames, faults as data, the state of each drive ([`DriveStatus`]). It must
+//! never wait or read a clock.
+
+mod goal;
+mod status;
+
+pub use status::{DriveStatus, Goal, Phase, Progress};
+
+use goal::{indices, reached};
+use status::Slot;
 
 use super::config::{MasterConfig, Order, SetupError};
 use super::cyclic::{Address, CycleWriter, Decoder, Shared};
 use super::fault::{DriveFault, Fault};
 use super::objects::decode_tpdo1;
 use super::script::{Advance, Runner};
-use super::state::{Command, State};
+use super::state::State;
 use crate::can::{CanBus, Frame, Received};
 use crate::canopen::cob::{SDO_REQUEST, frame};
 use crate::canopen::{Emergency, Message, NmtCommand, NmtState};
@@ -27,105 +38,6 @@ const FRAMES_PER_PUMP: usize = 1024;
 
 /// Boot-ups accepted between the reset and the end of configuration.
 const BOOTS_MAX: u32 = 3;
-
-/// Where the drives are to be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Goal {
-    /// "Switch on disabled": no power.
-    #[default]
-    Disabled,
-    /// "Operation enabled": torque.
-    Enabled,
-    /// Quick stop of what is enabled; the rest as disabled.
-    QuickStop,
-}
-
-/// How far a drive's communication is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
-    /// Not started, or waiting for its turn.
-    Waiting,
-    /// Reset; boot-up awaited.
-    Booting,
-    /// The SDO script runs.
-    Configuring,
-    /// Told to become operational.
-    Starting,
-    /// Operational; follows the goal.
-    Ready,
-    /// Unusable until the next start; the fault list says why.
-    Failed,
-}
-
-/// What the master knows of a drive.
-#[derive(Debug, Clone)]
-pub struct DriveStatus {
-    /// How far its communication is.
-    pub phase: Phase,
-    /// Last NMT state that it reported.
-    pub nmt: Option<NmtState>,
-    /// Last statusword of TPDO 1, `None` before the first.
-    pub statusword: Option<u16>,
-    /// Steps of the script done, and in all.
-    pub steps: (usize, usize),
-    /// Rated torque (mN m), object 6076.
-    pub rated_torque_mnm: Option<u32>,
-    /// Error register of its last emergency object.
-    pub error_register: u8,
-    /// Its emergency objects with receive time (ns), newest last.
-    pub emergencies: VecDeque<(u64, Emergency)>,
-    /// Optional objects that it has not.
-    pub absent: Vec<(u16, u8)>,
-}
-
-impl DriveStatus {
-    /// State of the power state machine.
-    pub fn state(&self) -> Option<State> {
-        self.statusword.and_then(State::from_statusword)
-    }
-}
-
-/// Sum over all drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Progress {
-    /// Number of drives.
-    pub drives: usize,
-    /// Waiting, booting, configuring or starting.
-    pub starting: usize,
-    /// Operational.
-    pub ready: usize,
-    /// In "operation enabled".
-    pub enabled: usize,
-    /// In "fault" or its reaction.
-    pub faulted: usize,
-    /// Unusable.
-    pub failed: usize,
-    /// All drives are operational and where the goal wants them.
-    pub at_goal: bool,
-    /// Script steps done, over all drives.
-    pub steps_done: usize,
-    /// Script steps in all, as far as known.
-    pub steps: usize,
-}
-
-struct Slot {
-    status: DriveStatus,
-    runner: Option<Runner>,
-    /// Since when the present phase, or the present wish for a transition, lasts (ns).
-    since_ns: u64,
-    heartbeat_ns: Option<u64>,
-    heartbeat_lost: bool,
-    /// State wanted next, with the cycle at which it was first commanded.
-    wanted: Option<State>,
-    /// Transitions were given up until the goal is set anew.
-    stuck: bool,
-    /// It reached "operation enabled" under the present goal.
-    was_enabled: bool,
-    /// Boot-ups since the start.
-    boots: u32,
-    /// Fault reset under way: cycle at which bit 7 was last changed.
-    resetting: Option<u64>,
-}
 
 /// The master.
 pub struct Master {
@@ -155,19 +67,23 @@ impl Master {
         let addresses: Vec<_> = config
             .drives
             .iter()
-            .map(|d| Address {
+            .enumerate()
+            .map(|(i, d)| Address {
                 bus: d.bus,
                 node: d.node,
+                rank: config.rank(i).0,
                 torque_permille_max: i16::try_from(d.torque_permille_max).unwrap_or(i16::MAX),
             })
             .collect();
         let shared = Arc::new(Shared {
             controlwords: addresses.iter().map(|_| AtomicU16::new(0)).collect(),
             cycle: AtomicU64::new(0),
+            unsent: buses.iter().map(|_| AtomicU64::new(0)).collect(),
         });
         let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
-        let writer = CycleWriter { buses: handles, drives: addresses.clone(), shared: shared.clone() };
+        let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
+        let writer = CycleWriter::new(handles, addresses.clone(), layouts, shared.clone());
         Ok(Self {
             outbox: buses.iter().map(|_| VecDeque::with_capacity(256)).collect(),
             slots: addresses.iter().map(|_| Slot::new()).collect(),
@@ -251,6 +167,12 @@ impl Master {
     /// What is known of each drive, in the order of cables.
     pub fn status(&self) -> impl ExactSizeIterator<Item = &DriveStatus> {
         self.slots.iter().map(|s| &s.status)
+    }
+
+    /// Frames of cycles (RPDOs and SYNC) that the bus did not take since the master was made, whoever sent the cycles. In
+    /// the packed layout one frame stands for all drives of the bus. 0 for a bus that there is not.
+    pub fn unsent(&self, bus: usize) -> u64 {
+        self.shared.unsent.get(bus).map_or(0, |n| n.load(Ordering::Relaxed))
     }
 
     /// Faults since the last call, oldest first.
@@ -360,7 +282,7 @@ impl Master {
                 slot.boots += 1;
                 slot.status.phase = Phase::Configuring;
                 slot.heartbeat_ns = None;
-                let mut runner = Runner::new(&self.config, &self.config.drives[i]);
+                let mut runner = Runner::new(&self.config, i);
                 let first = runner.start(now_ns);
                 self.slots[i].runner = Some(runner);
                 self.advance(i, first, now_ns);
@@ -507,105 +429,6 @@ impl Master {
         }
     }
 
-    /// Moves each drive one transition nearer to the goal, in the order wanted.
-    fn follow_goal(&mut self, now_ns: u64) {
-        let order = if self.goal == Goal::Enabled {
-            self.config.order_of_enabling
-        } else if self.goal == Goal::Disabled {
-            self.config.order_of_disabling
-        } else {
-            Order::Parallel // a quick stop waits for nobody
-        };
-        for i in indices(order, self.slots.len()) {
-            if self.slots[i].status.phase != Phase::Ready {
-                continue;
-            }
-            // A drive in fault gives no torque and goes nowhere before a reset: those behind it must not wait for that.
-            let faulted = matches!(self.slots[i].status.state(), Some(State::Fault | State::FaultReactionActive));
-            let arrived = self.step_towards_goal(i, now_ns) || faulted;
-            if !arrived && order != Order::Parallel && !self.slots[i].stuck {
-                break;
-            }
-        }
-    }
-
-    /// True when the drive is where the goal wants it.
-    fn step_towards_goal(&mut self, i: usize, now_ns: u64) -> bool {
-        let waited_ns = now_ns.saturating_sub(self.slots[i].since_ns);
-        let late = waited_ns > u64::from(self.config.transition_timeout_ms) * 1_000_000;
-        let timeout_ms = self.config.transition_timeout_ms;
-        let Some(statusword) = self.slots[i].status.statusword else {
-            if late && !self.slots[i].stuck {
-                self.slots[i].stuck = true;
-                self.fault(i, now_ns, Fault::NoFeedback { timeout_ms });
-            }
-            return false;
-        };
-        let Some(found) = State::from_statusword(statusword) else { return false };
-        if self.fault_reset(i, found, now_ns) {
-            return false;
-        }
-        let slot = &mut self.slots[i];
-        if self.goal == Goal::Enabled && found == State::OperationEnabled {
-            slot.was_enabled = true;
-        }
-        if self.goal == Goal::Enabled && slot.was_enabled && !slot.stuck && found != State::OperationEnabled {
-            // Never driven back by itself: what took it out may be a person with an emergency stop.
-            slot.stuck = true;
-            self.shared.controlwords[i].store(Command::DisableVoltage.controlword(), Ordering::Release);
-            self.fault(i, now_ns, Fault::LeftOperation { found, statusword });
-            return false;
-        }
-        let Some((wanted, word)) = next(self.goal, found) else {
-            slot.wanted = None;
-            slot.since_ns = now_ns;
-            return reached(self.goal, found);
-        };
-        if slot.stuck {
-            return false;
-        }
-        if slot.wanted != Some(wanted) {
-            slot.wanted = Some(wanted);
-            slot.since_ns = now_ns;
-        } else if late {
-            slot.stuck = true;
-            self.fault(i, now_ns, Fault::Transition { wanted, found, statusword, timeout_ms });
-            return false;
-        }
-        self.shared.controlwords[i].store(word, Ordering::Release);
-        false
-    }
-
-    /// The edge of bit 7 over two cycles each way, so that a lost frame does not swallow it; true while under way.
-    fn fault_reset(&mut self, i: usize, found: State, now_ns: u64) -> bool {
-        let cycle = self.shared.cycle.load(Ordering::Acquire);
-        let slot = &mut self.slots[i];
-        let Some(changed) = slot.resetting else { return false };
-        let word = &self.shared.controlwords[i];
-        if found != State::Fault {
-            slot.resetting = None;
-            slot.since_ns = now_ns;
-            slot.status.error_register = 0;
-            word.store(0, Ordering::Release);
-            return false;
-        }
-        let timeout_ms = self.config.transition_timeout_ms;
-        if now_ns.saturating_sub(slot.since_ns) > u64::from(timeout_ms) * 1_000_000 {
-            slot.resetting = None;
-            slot.stuck = true;
-            word.store(0, Ordering::Release);
-            let statusword = slot.status.statusword.unwrap_or(0);
-            self.fault(i, now_ns, Fault::Transition { wanted: State::SwitchOnDisabled, found, statusword, timeout_ms });
-            return true;
-        }
-        if cycle >= changed + 2 {
-            let set = word.load(Ordering::Acquire) & super::state::FAULT_RESET_BIT != 0;
-            word.store(if set { 0 } else { Command::FaultReset.controlword() }, Ordering::Release);
-            slot.resetting = Some(cycle);
-        }
-        true
-    }
-
     fn progress(&self) -> Progress {
         let mut p = Progress { drives: self.slots.len(), ..Progress::default() };
         let mut at_goal = true;
@@ -632,64 +455,5 @@ impl Master {
         }
         p.at_goal = at_goal;
         p
-    }
-}
-
-impl Slot {
-    fn new() -> Self {
-        Self {
-            status: DriveStatus {
-                phase: Phase::Waiting,
-                nmt: None,
-                statusword: None,
-                steps: (0, 0),
-                rated_torque_mnm: None,
-                error_register: 0,
-                emergencies: VecDeque::new(),
-                absent: Vec::new(),
-            },
-            runner: None,
-            since_ns: 0,
-            heartbeat_ns: None,
-            heartbeat_lost: false,
-            wanted: None,
-            stuck: false,
-            was_enabled: false,
-            boots: 0,
-            resetting: None,
-        }
-    }
-}
-
-fn indices(order: Order, count: usize) -> impl Iterator<Item = usize> {
-    (0..count).map(move |i| if order == Order::OneByOneReversed { count - 1 - i } else { i })
-}
-
-fn reached(goal: Goal, state: State) -> bool {
-    match goal {
-        Goal::Disabled => state == State::SwitchOnDisabled,
-        Goal::Enabled => state == State::OperationEnabled,
-        Goal::QuickStop => matches!(state, State::QuickStopActive | State::SwitchOnDisabled),
-    }
-}
-
-/// Next state and the controlword that leads there; `None` if the goal is reached or nothing can be commanded.
-fn next(goal: Goal, state: State) -> Option<(State, u16)> {
-    use State as S;
-    let step = |to: State, command: Command| Some((to, command.controlword()));
-    match (goal, state) {
-        (_, S::NotReadyToSwitchOn | S::FaultReactionActive | S::Fault) => None,
-        (Goal::Enabled, S::SwitchOnDisabled) => step(S::ReadyToSwitchOn, Command::Shutdown),
-        (Goal::Enabled, S::ReadyToSwitchOn) => step(S::SwitchedOn, Command::SwitchOn),
-        (Goal::Enabled, S::SwitchedOn) => step(S::OperationEnabled, Command::EnableOperation),
-        (Goal::Enabled, S::OperationEnabled) => None,
-        (Goal::Enabled, S::QuickStopActive) => step(S::SwitchOnDisabled, Command::DisableVoltage),
-        (Goal::QuickStop, S::OperationEnabled) => step(S::QuickStopActive, Command::QuickStop),
-        (Goal::QuickStop, S::QuickStopActive | S::SwitchOnDisabled) => None,
-        (Goal::Disabled, S::OperationEnabled) => step(S::SwitchedOn, Command::SwitchOn),
-        (Goal::Disabled | Goal::QuickStop, S::SwitchedOn) => step(S::ReadyToSwitchOn, Command::Shutdown),
-        (Goal::Disabled | Goal::QuickStop, S::ReadyToSwitchOn) => step(S::SwitchOnDisabled, Command::DisableVoltage),
-        (Goal::Disabled, S::QuickStopActive) => step(S::SwitchOnDisabled, Command::DisableVoltage),
-        (Goal::Disabled, S::SwitchOnDisabled) => None,
     }
 }
