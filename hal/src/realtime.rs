@@ -10,7 +10,7 @@ use std::io;
 
 use rustix::mm::MlockAllFlags;
 use rustix::process::Resource;
-use rustix::thread::CpuSet;
+use rustix::thread::{CapabilitySet, CpuSet};
 use thiserror::Error;
 
 /// What a thread wants.
@@ -106,6 +106,15 @@ impl Report {
     }
 }
 
+/// Keeps the calling thread, and every thread that it starts from here on, away from a processor that another thread is
+/// to have for itself; the processors that remain. Empty, and nothing changed, where it is the only one permitted, or the
+/// operating system does not say. Allocates.
+pub fn leave_processor(cpu: usize) -> Vec<usize> {
+    let Ok(permitted) = rustix::thread::sched_getaffinity(None) else { return Vec::new() };
+    let others: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&c| c != cpu && permitted.is_set(c)).collect();
+    if others.is_empty() || pin(&others).is_err() { Vec::new() } else { others }
+}
+
 /// Applies a request to the calling thread. Allocates; called once, before the first tick.
 pub fn enter(request: &Request) -> Report {
     let mut report = Report::default();
@@ -179,14 +188,25 @@ fn pin(cpus: &[usize]) -> Result<(), Refusal> {
 }
 
 fn lock_memory() -> Result<(), Refusal> {
-    rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(|e| {
+    let refusal = |os_error: Option<i32>| {
         let text = format!(
             "the limit of locked memory is {} bytes: give the user `memlock unlimited` in /etc/security/limits.d, the \
              service `LimitMEMLOCK=infinity`, or the program CAP_IPC_LOCK",
             limit(Resource::Memlock)
         );
-        (Some(e.raw_os_error()), text)
-    })
+        (os_error, text)
+    };
+    // Under a limit the lock might still be granted for what there is now, and with it every later allocation beyond the
+    // limit would fail: a process that ends in the middle of a motion for want of memory is worse than page faults.
+    if rustix::process::getrlimit(Resource::Memlock).current.is_some() && !may_lock_without_limit() {
+        return Err(refusal(None));
+    }
+    rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(|e| refusal(Some(e.raw_os_error())))
+}
+
+/// Whether the thread has CAP_IPC_LOCK, to which the limit does not apply.
+fn may_lock_without_limit() -> bool {
+    rustix::thread::capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK))
 }
 
 /// The soft limit of a resource, in words.

@@ -3,13 +3,12 @@
 use super::Outcome;
 use clap::Args;
 use miette::IntoDiagnostic;
-use sd_notify::NotifyState;
 use sinew::config::Config;
-use sinew::daemon::{AutoRequests, Daemon, Ending, LockstepOptions, Options};
+use sinew::daemon::{AutoRequests, Daemon, Ending, Heart, LockstepOptions, Options};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Arguments of `sinew run`.
 #[derive(Debug, Args)]
@@ -81,7 +80,7 @@ impl Run {
         };
         eprintln!("sinew: arm \"{}\", {} ms period; stop with Ctrl-C", config.ipc.arm, 1e3 * config.timing.period_s);
         let mut heart = Heart::new();
-        match daemon.wait(&stop, |ticks| heart.beat(ticks)) {
+        match daemon.wait(&stop, |ticks| heart.beat(ticks, stop.load(Ordering::Relaxed))) {
             Ok(Ending::Stopped) => Ok(Outcome::Done),
             Ok(Ending::Faulted) => {
                 eprintln!("sinew: stopped with a fault latched");
@@ -92,44 +91,5 @@ impl Run {
                 Ok(Outcome::Failed)
             }
         }
-    }
-}
-
-/// Tells the service manager that the loop lives; silent where there is none. Fed by ticks alone: a hung control thread
-/// stops it, whatever else still runs.
-struct Heart {
-    watchdog: Option<Duration>,
-    last: (u64, Instant),
-    ready: bool,
-}
-
-impl Heart {
-    fn new() -> Self {
-        Self { watchdog: sd_notify::watchdog_enabled(), last: (0, Instant::now()), ready: false }
-    }
-
-    fn beat(&mut self, ticks: u64) {
-        if ticks == self.last.0 {
-            return;
-        }
-        if !self.ready {
-            self.ready = true;
-            tell(&[NotifyState::Ready]);
-        }
-        // Half of the time granted, as systemd advises.
-        if let Some(watchdog) = self.watchdog
-            && self.last.1.elapsed() > watchdog / 3
-        {
-            tell(&[NotifyState::Watchdog]);
-            self.last = (ticks, Instant::now());
-        } else {
-            self.last.0 = ticks;
-        }
-    }
-}
-
-fn tell(state: &[NotifyState<'_>]) {
-    if let Err(error) = sd_notify::notify(state) {
-        tracing::debug!(%error, "service manager not told");
     }
 }

@@ -50,10 +50,11 @@ fn text(r: &StatusReport) -> String {
     }
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
-        "loop: {} ticks of {} ms ({clock}), {} missed, {} records dropped",
+        "loop: {} ticks of {} ms ({clock}); deadlines missed: {} left out, {} overran; {} records dropped",
         r.ticks,
         1e3 * r.period_s,
         r.missed,
+        r.overran,
         r.records_dropped
     ));
     if let Some(dropped) = r.recording_dropped {
@@ -108,6 +109,22 @@ fn text(r: &StatusReport) -> String {
         }
     }
     line(times.to_string());
+
+    let mut threads = table();
+    threads.set_header(["thread", "scheduling", "cpus", "ran (s)", "waited (s)", "page faults", "preempted", "slept"]);
+    for t in &r.threads {
+        threads.add_row([
+            t.name.clone(),
+            t.scheduling.clone(),
+            t.cpus.clone(),
+            format!("{:.2}", t.run_s),
+            format!("{:.2}", t.wait_s),
+            (t.faults_minor + t.faults_major).to_string(),
+            t.switches_involuntary.to_string(),
+            t.switches_voluntary.to_string(),
+        ]);
+    }
+    line(threads.to_string());
     out
 }
 

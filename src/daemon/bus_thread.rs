@@ -34,6 +34,9 @@ const RETRY_NS: u64 = 1_000_000_000;
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
+/// Time that drives are given for their answers to a SYNC at any period (ns): two dozen frames on a shared bus take a good
+/// part of a millisecond.
+const ANSWERS_NS: u64 = 2_000_000;
 /// Interval of the statistics (ns).
 const STATISTICS_NS: u64 = 500_000_000;
 
@@ -269,12 +272,13 @@ impl BusThread {
         if complete.is_none() {
             self.given_up = self.decoder.missing();
         }
-        if complete.is_none() && self.decoder.missing() == DriveMask::first(self.memory.len()) {
+        if complete.is_none() && self.decoder.missing() == self.all() {
             self.input.phase = DrivesPhase::Off;
             self.input.bus_lost = Some(0);
             self.link.write(self.input);
         }
-        self.publish(cycle, tick * self.period_ns, Some(tick));
+        let missing = self.decoder.missing();
+        self.publish(cycle, tick * self.period_ns, Some(tick), missing);
     }
 
     /// Receives what waits, on all buses.
@@ -314,13 +318,21 @@ impl BusThread {
             self.memory[drive].lost = false;
             self.memory[drive].seen = true;
         }
+        let sync_before_ns = self.decoder.sync_ns();
         match self.decoder.on_frame(bus, received) {
             Event::Complete { cycle, sync_ns } => {
                 self.given_up = DriveMask::default();
                 if !self.time.is_lockstep() {
-                    self.publish(cycle, sync_ns, None);
+                    self.publish(cycle, sync_ns, None, DriveMask::default());
                 }
                 Some(cycle)
+            }
+            // The next SYNC is here: who has not answered by now did not answer this one.
+            Event::Incomplete { cycle, missing }
+                if !self.time.is_lockstep() && cycle > self.published && missing != self.all() =>
+            {
+                self.publish(cycle, sync_before_ns, None, missing);
+                None
             }
             Event::Feedback(drive) if lockstep => {
                 self.given_up.0 &= !(1 << drive);
@@ -332,19 +344,24 @@ impl BusThread {
         }
     }
 
-    /// Real time: a cycle that half a period after its SYNC is not complete goes out as it is.
+    /// Real time: a cycle that is not complete half a period after its SYNC goes out as it is; with short periods the
+    /// next SYNC comes first.
     fn publish_late(&mut self, now_ns: u64) {
         let (cycle, sync_ns) = (self.decoder.cycle(), self.decoder.sync_ns());
         let missing = self.decoder.missing();
-        let none = missing == DriveMask::first(self.memory.len());
-        if cycle > self.published && !none && now_ns.saturating_sub(sync_ns) > self.period_ns / 2 {
-            self.publish(cycle, sync_ns, None);
+        let late = now_ns.saturating_sub(sync_ns) > (self.period_ns / 2).max(ANSWERS_NS);
+        if cycle > self.published && missing != self.all() && late {
+            self.publish(cycle, sync_ns, None, missing);
         }
     }
 
+    /// All drives.
+    fn all(&self) -> DriveMask {
+        DriveMask::first(self.memory.len())
+    }
+
     /// Publishes the feedback of a cycle; drives that did not answer have no valid entry.
-    fn publish(&mut self, cycle: u64, capture_ns: u64, tick: Option<u64>) {
-        let missing = self.decoder.missing();
+    fn publish(&mut self, cycle: u64, capture_ns: u64, tick: Option<u64>, missing: DriveMask) {
         for (count, feedback) in self.counts.iter_mut().zip(self.decoder.feedback()) {
             *count = feedback.position_counts;
         }

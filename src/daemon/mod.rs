@@ -27,6 +27,7 @@
 mod bus_thread;
 mod control_thread;
 mod error;
+mod heart;
 mod link;
 mod obstacles;
 mod records;
@@ -34,14 +35,17 @@ mod setup;
 mod statistics;
 pub mod status;
 mod taps;
+mod threads;
 mod tick;
 mod warm_up;
 
 pub use bus_thread::{ENCODER_SOURCE_ID, cause_text};
 pub use error::DaemonError;
+pub use heart::Heart;
 pub use records::{fault_of_code, refusal_text};
 pub use setup::{BusLoad, bus_loads, check, master_config, motor_bank};
 pub use statistics::{Percentiles, Stages};
+pub use threads::ThreadReport;
 pub use tick::{AutoRequests, limits};
 
 use crate::config::Config;
@@ -55,7 +59,7 @@ use link::{LoopTime, Progress, drives_link};
 use sinew_hal::can::{CanBus, Filter};
 use sinew_hal::cia402::Master;
 use sinew_hal::realtime;
-use status::{Fixed, Shared, StatusServer};
+use status::{Fixed, Shared, StatusServer, TickNotes};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -136,6 +140,13 @@ fn capacity(lockstep: bool) -> ChannelCapacity {
     if lockstep { ChannelCapacity { records: 256, ..ChannelCapacity::default() } } else { ChannelCapacity::default() }
 }
 
+/// How often the I/O thread looks: a message waits for that long, so it is a small part of a period; looking costs some
+/// microseconds, so it is no smaller than need be.
+fn pace(period_s: f64) -> Pace {
+    let sleep = Duration::from_secs_f64(period_s / 20.0);
+    Pace::RealTime { sleep: sleep.clamp(Duration::from_micros(50), Duration::from_micros(200)) }
+}
+
 /// A running daemon. Dropping it stops it in order.
 #[derive(Debug)]
 pub struct Daemon {
@@ -151,11 +162,20 @@ pub struct Daemon {
 impl Daemon {
     /// Starts all threads. In lockstep the first tick comes when the drives are up.
     ///
+    /// With `loop.cpu` the calling thread leaves that processor to the control thread, as all others do.
+    ///
     /// # Errors
     /// [`DaemonError`]; nothing is left running then.
     pub fn start(config: &Config, options: &Options) -> Result<Self, DaemonError> {
         let loads = setup::check(config)?;
         let settings = settings(config, options)?;
+        if let (Some(cpu), None) = (config.timing.cpu, &options.lockstep) {
+            // Every thread below starts from here; the control thread then pins itself to the processor left free.
+            let others = realtime::leave_processor(cpu);
+            if others.is_empty() {
+                tracing::warn!(cpu, "no other processor is permitted: the control thread shares its own");
+            }
+        }
         let domain = domain(config);
         let arm = &config.ipc.arm;
         let ports = open_ports(&domain, arm)?;
@@ -189,12 +209,12 @@ impl Daemon {
             None => None,
         };
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
-        let taps = Taps { pairs, shared: shared.clone(), recorder };
+        let taps = Taps { pairs, notes: TickNotes::new(shared.clone()), recorder };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.io = Some(spawn("sinew-io", below(2), {
             let (progress, time) = (progress.clone(), time.clone());
-            let pace = if lockstep { Pace::Lockstep } else { Pace::default() };
+            let pace = if lockstep { Pace::Lockstep } else { pace(config.timing.period_s) };
             move || io.run(pace, &progress.io_stop, || time.now_ns())
         })?);
 

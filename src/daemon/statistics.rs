@@ -28,28 +28,56 @@ pub struct Percentiles {
 /// Stage to distribution.
 pub type Stages = BTreeMap<String, Percentiles>;
 
-/// Histograms of every stage by branch.
-#[derive(Debug, Default)]
-pub(crate) struct Statistics {
-    branches: BTreeMap<&'static str, Vec<Histogram<u64>>>,
+/// Times of a tick: what of a record the histograms need.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Times {
+    branch: &'static str,
+    stages_ns: [u64; STAGES.len()],
 }
 
-impl Statistics {
-    pub(crate) fn note(&mut self, state: &State) {
+impl Times {
+    pub(crate) fn of(state: &State) -> Self {
         let t = &state.timing;
-        let times = [t.wakeup_ns, t.input_ns, t.estimate_ns, t.plan_ns, t.guard_ns, t.send_ns, t.cycle_ns];
         let branch = match PlannerBranch::from_wire(state.planner_branch) {
             None | Some(PlannerBranch::None) => "idle",
             Some(PlannerBranch::Safe) => "safe",
             Some(_) => "warning",
         };
-        let histograms = self.branches.entry(branch).or_insert_with(|| {
+        let stages_ns = [t.wakeup_ns, t.input_ns, t.estimate_ns, t.plan_ns, t.guard_ns, t.send_ns, t.cycle_ns];
+        Self { branch, stages_ns }
+    }
+
+    /// Whether the torques left after the end of their period. The wake-up's delay counts from the tick that was due
+    /// first; those left out since are counted as missed, and this one belongs to the last.
+    fn overran(&self, period_ns: u64) -> bool {
+        let [wakeup_ns, .., cycle_ns] = self.stages_ns;
+        wakeup_ns % period_ns.max(1) + cycle_ns > period_ns
+    }
+}
+
+/// Histograms of every stage by branch.
+#[derive(Debug, Default)]
+pub(crate) struct Statistics {
+    branches: BTreeMap<&'static str, Vec<Histogram<u64>>>,
+    overran: u64,
+}
+
+impl Statistics {
+    /// Counts a tick; `period_ns` is 0 in lockstep, where nothing is due.
+    pub(crate) fn note(&mut self, times: &Times, period_ns: u64) {
+        let histograms = self.branches.entry(times.branch).or_insert_with(|| {
             // 1 ns to 100 s with three digits: valid bounds, so that none is missing.
             STAGES.iter().filter_map(|_| Histogram::new_with_bounds(1, LONGEST_NS, 3).ok()).collect()
         });
-        for (histogram, time) in histograms.iter_mut().zip(times) {
+        for (histogram, time) in histograms.iter_mut().zip(times.stages_ns) {
             histogram.saturating_record(time);
         }
+        self.overran += u64::from(period_ns > 0 && times.overran(period_ns));
+    }
+
+    /// Ticks whose torques left after the end of their period.
+    pub(crate) fn overran(&self) -> u64 {
+        self.overran
     }
 
     pub(crate) fn stages(&self) -> BTreeMap<String, Stages> {
@@ -79,14 +107,32 @@ mod tests {
         for k in 1..=1000 {
             state.planner_branch = PlannerBranch::Safe.wire();
             state.timing.plan_ns = 1000 * k;
-            statistics.note(&state);
+            statistics.note(&Times::of(&state), 0);
         }
         state.planner_branch = PlannerBranch::Seeded.wire();
-        statistics.note(&state);
+        statistics.note(&Times::of(&state), 0);
         let stages = statistics.stages();
         let plan = stages["safe"]["plan"];
         assert_eq!((plan.count, stages["warning"]["plan"].count), (1000, 1));
         assert!((plan.p50 - 500.0).abs() < 1.0 && (plan.p99 - 990.0).abs() < 1.0, "{plan:?}");
         assert!(!stages.contains_key("idle"));
+    }
+
+    #[test]
+    fn torques_that_leave_after_the_period_are_counted_once_and_those_of_a_tick_that_was_left_out_not() {
+        const PERIOD_NS: u64 = 1_000_000;
+        let overran = |wakeup_ns, cycle_ns| {
+            let mut statistics = Statistics::default();
+            let mut state = State::default();
+            (state.timing.wakeup_ns, state.timing.cycle_ns) = (wakeup_ns, cycle_ns);
+            statistics.note(&Times::of(&state), PERIOD_NS);
+            statistics.overran()
+        };
+        assert_eq!(overran(0, PERIOD_NS), 0);
+        assert_eq!(overran(1, PERIOD_NS), 1);
+        assert_eq!(overran(400_000, 700_000), 1);
+        // Three ticks were left out, and the one that ran was in time.
+        assert_eq!(overran(3 * PERIOD_NS + 100_000, 700_000), 0);
+        assert_eq!(overran(3 * PERIOD_NS + 400_000, 700_000), 1);
     }
 }

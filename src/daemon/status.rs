@@ -5,14 +5,15 @@
 //! nothing behind. One connection, one report, closed.
 
 use super::error::DaemonError;
-use super::statistics::{Stages, Statistics};
+use super::statistics::{Stages, Statistics, Times};
+use super::threads::{Baseline, ThreadReport};
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::Duration;
 
 /// The latched fault in words.
@@ -106,8 +107,10 @@ pub struct StatusReport {
     pub ticks: u64,
     /// Period (s).
     pub period_s: f64,
-    /// Ticks left out because the loop was late.
+    /// Ticks left out because the loop was late: deadlines missed before the tick began.
     pub missed: u64,
+    /// Ticks whose torques left after the end of their period: deadlines missed by the tick itself.
+    pub overran: u64,
     /// Records and events that found their queue full.
     pub records_dropped: u64,
     /// Messages that the recorder dropped; null without a recording.
@@ -128,6 +131,8 @@ pub struct StatusReport {
     pub obstacle_sources_refused: u64,
     /// Time per tick (us), by branch of the planner, then by stage.
     pub time_us: BTreeMap<String, Stages>,
+    /// Threads of the daemon, with what they did since the first tick.
+    pub threads: Vec<ThreadReport>,
 }
 
 /// What never changes over a run.
@@ -140,26 +145,74 @@ pub(crate) struct Fixed {
     pub(crate) buses: Vec<(String, f64, f64)>,
 }
 
+/// What is set now and then.
 #[derive(Debug, Default)]
 struct Inner {
     realtime_refused: Vec<String>,
     buses: Vec<BusStatus>,
     drives: DriveStatus,
+    recording_dropped: Option<Arc<std::sync::atomic::AtomicU64>>,
+}
+
+/// What every tick changes.
+#[derive(Debug, Default)]
+struct Ticks {
     statistics: Statistics,
     state: Option<Box<State>>,
-    recording_dropped: Option<std::sync::Arc<std::sync::atomic::AtomicU64>>,
+    /// What the threads had done before the first tick.
+    baseline: Baseline,
 }
 
 /// Gathered from the I/O thread, the bus thread and the main thread; the control thread has no part in it.
+///
+/// The main thread has no priority, and a report takes milliseconds: whoever waits for its lock waits for a thread that
+/// anybody may keep from its processor. So the I/O thread, by which encoders reach the control thread, never waits: what
+/// finds the lock taken is kept by [`TickNotes`] until the next tick.
 #[derive(Debug)]
 pub(crate) struct Shared {
     fixed: Fixed,
     inner: Mutex<Inner>,
+    ticks: Mutex<Ticks>,
+}
+
+/// Ticks whose times are kept while a report is made; a report that takes longer loses the rest.
+const KEPT: usize = 4096;
+
+/// The I/O thread's way to [`Shared`]: records of ticks, never waiting.
+#[derive(Debug)]
+pub(crate) struct TickNotes {
+    shared: Arc<Shared>,
+    period_ns: u64,
+    kept: Vec<Times>,
+}
+
+impl TickNotes {
+    pub(crate) fn new(shared: Arc<Shared>) -> Self {
+        let period_ns = if shared.fixed.lockstep { 0 } else { (1e9 * shared.fixed.period_s).round() as u64 };
+        Self { shared, period_ns, kept: Vec::with_capacity(KEPT) }
+    }
+
+    pub(crate) fn note(&mut self, state: &State) {
+        if self.kept.len() < KEPT {
+            self.kept.push(Times::of(state));
+        }
+        let mut ticks = match self.shared.ticks.try_lock() {
+            Ok(ticks) => ticks,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        let Ticks { statistics, state: newest, baseline } = &mut *ticks;
+        self.kept.drain(..).for_each(|times| statistics.note(&times, self.period_ns));
+        match newest {
+            Some(place) => **place = *state,
+            None => (*newest, *baseline) = (Some(Box::new(*state)), Baseline::now()),
+        }
+    }
 }
 
 impl Shared {
     pub(crate) fn new(fixed: Fixed) -> Self {
-        Self { fixed, inner: Mutex::default() }
+        Self { fixed, inner: Mutex::default(), ticks: Mutex::default() }
     }
 
     /// A thread that panicked leaves numbers, which are as good as any.
@@ -167,8 +220,13 @@ impl Shared {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// What the bus thread says; it does not wait either, and says it again soon.
     pub(crate) fn set_wires(&self, buses: Vec<BusStatus>, drives: DriveStatus) {
-        let mut inner = self.lock();
+        let mut inner = match self.inner.try_lock() {
+            Ok(inner) => inner,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
         (inner.buses, inner.drives) = (buses, drives);
     }
 
@@ -176,23 +234,24 @@ impl Shared {
         self.lock().realtime_refused = refused;
     }
 
-    pub(crate) fn set_recorder(&self, dropped: std::sync::Arc<std::sync::atomic::AtomicU64>) {
+    pub(crate) fn set_recorder(&self, dropped: Arc<std::sync::atomic::AtomicU64>) {
         self.lock().recording_dropped = Some(dropped);
-    }
-
-    pub(crate) fn note(&self, state: &State) {
-        let mut inner = self.lock();
-        inner.statistics.note(state);
-        match &mut inner.state {
-            Some(place) => **place = *state,
-            None => inner.state = Some(Box::new(*state)),
-        }
     }
 
     /// The report as of now.
     pub(crate) fn report(&self) -> StatusReport {
+        let (state, time_us, overran, threads) = {
+            let ticks = self.ticks.lock().unwrap_or_else(PoisonError::into_inner);
+            (
+                ticks.state.as_deref().copied(),
+                ticks.statistics.stages(),
+                ticks.statistics.overran(),
+                ticks.baseline.since(),
+            )
+        };
+        let done = state.as_ref().map_or(0, |s| s.header.tick + 1);
+        let state = state.unwrap_or_default();
         let inner = self.lock();
-        let state = inner.state.as_deref().copied().unwrap_or_default();
         let fixed = &self.fixed;
         let bus = |(i, (name, computed, limit)): (usize, &(String, f64, f64))| {
             let seen = inner.buses.get(i);
@@ -216,9 +275,10 @@ impl Shared {
             lockstep: fixed.lockstep,
             mode: mode_text(state.supervisor).into(),
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
-            ticks: inner.state.as_ref().map_or(0, |s| s.header.tick + 1),
+            ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed,
+            overran,
             records_dropped: state.records_dropped,
             recording_dropped: inner
                 .recording_dropped
@@ -231,7 +291,8 @@ impl Shared {
             target: source_status(&state.target_report),
             obstacles: state.obstacle_sources.iter().filter(used).map(source_status).collect(),
             obstacle_sources_refused: state.obstacle_sources_refused,
-            time_us: inner.statistics.stages(),
+            time_us,
+            threads,
         }
     }
 }
@@ -335,7 +396,7 @@ mod tests {
         let domain = format!("test-{}", std::process::id());
         assert!(ask(&domain, "arm").unwrap().is_none(), "nobody listens");
         let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
-        let shared = Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses });
+        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses }));
         let mut state = State {
             header: Header { tick: 41, ..Header::default() },
             fault_code: 20,
@@ -344,7 +405,7 @@ mod tests {
         };
         state.obstacle_sources[0].source_id = 7;
         state.obstacle_sources[0].rejected[RejectCause::NotFinite.wire() as usize] = 2;
-        shared.note(&state);
+        TickNotes::new(shared.clone()).note(&state);
         let server = StatusServer::bind(&domain, "arm").unwrap();
         assert!(StatusServer::bind(&domain, "arm").is_err(), "one daemon, one socket");
         let asking = std::thread::spawn(move || ask(&domain, "arm").unwrap().unwrap());
@@ -352,11 +413,33 @@ mod tests {
             server.serve(&shared);
         }
         let report = asking.join().unwrap();
-        assert_eq!(report, shared.report());
+        let threads = |report: StatusReport| StatusReport { threads: Vec::new(), ..report };
+        assert_eq!(threads(report.clone()), threads(shared.report()), "threads go on meanwhile");
+        assert!(report.threads.len() > 1, "{:?}", report.threads);
         assert_eq!(report.ticks, 42);
         assert_eq!(report.obstacles[0].rejected, BTreeMap::from([("NaN or infinite number".to_owned(), 2)]));
         let fault = report.fault.unwrap();
         assert_eq!(fault.what, "an encoder is silent (cable 3)");
         assert!(fault.clears.contains("clear"));
+    }
+    #[test]
+    fn a_tick_is_noted_without_waiting_for_a_report_under_way_and_not_forgotten() {
+        let shared = Arc::new(Shared::new(Fixed { period_s: 0.001, ..Fixed::default() }));
+        let mut notes = TickNotes::new(shared.clone());
+        let tick = |tick, cycle_ns| {
+            let mut state = State { header: Header { tick, ..Header::default() }, ..State::default() };
+            state.timing.cycle_ns = cycle_ns;
+            state
+        };
+        notes.note(&tick(0, 1_000));
+        {
+            let _report_under_way = shared.ticks.lock().unwrap();
+            notes.note(&tick(1, 2_000_000));
+            notes.note(&tick(2, 1_000));
+        }
+        assert_eq!((shared.report().ticks, shared.report().overran), (1, 0));
+        notes.note(&tick(3, 1_000));
+        let report = shared.report();
+        assert_eq!((report.ticks, report.overran, report.time_us["idle"]["cycle"].count), (4, 1, 4));
     }
 }

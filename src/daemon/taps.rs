@@ -1,21 +1,20 @@
 //! What sees everything that passes the I/O thread: the builder of obstacle sets, the statistics, the log, the recorder.
 
 use super::obstacles::PairBuilder;
-use super::status::Shared;
+use super::status::TickNotes;
 use crate::ipc::payload::{Obstacles, State, Target};
 use crate::ipc::{Event, Tap};
 use crate::recording::Recorder;
-use std::sync::Arc;
 
 pub(crate) struct Taps {
     pub(crate) pairs: PairBuilder,
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) notes: TickNotes,
     pub(crate) recorder: Option<Recorder>,
 }
 
 impl Tap for Taps {
     fn state(&mut self, state: &State) {
-        self.shared.note(state);
+        self.notes.note(state);
         self.recorder.state(state);
     }
 

@@ -111,14 +111,14 @@ impl<T: Tap> IoThread<T> {
     /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.
     pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) {
         while !stop.load(Ordering::Acquire) {
-            if self.poll(now()) == 0 {
+            if self.poll(&now) == 0 {
                 match pace {
                     Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
                     Pace::Lockstep => std::thread::yield_now(),
                 }
             }
         }
-        self.poll(now());
+        self.poll(&now);
         for (command, _, request) in std::mem::take(&mut self.open) {
             self.answer(&request, self.refusal(&command, RefusalReason::ShuttingDown));
         }
@@ -131,8 +131,11 @@ impl<T: Tap> IoThread<T> {
     ///
     /// A port that fails is tried again in the next pass: a client that dies while it connects must not end this thread,
     /// and inputs that stay away are noticed by their age. Failures are logged at the 1st, 2nd, 4th, 8th ... one.
-    pub fn poll(&mut self, now_ns: u64) -> usize {
-        let results = [self.move_records(), self.move_requests(now_ns), self.move_inputs(now_ns)];
+    ///
+    /// `now` is asked when a message has been taken, not before: this thread may lose its processor between the two, and
+    /// a message sent meanwhile would come from the future.
+    pub fn poll(&mut self, now: &impl Fn() -> u64) -> usize {
+        let results = [self.move_records(), self.move_requests(now), self.move_inputs(now)];
         let mut moved = 0;
         for result in results {
             match result {
@@ -167,10 +170,10 @@ impl<T: Tap> IoThread<T> {
         Ok(moved)
     }
 
-    fn move_inputs(&mut self, now_ns: u64) -> Result<usize, IpcError> {
+    fn move_inputs(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
         let Self { ports, ends, limits, obstacles, target, encoders, tap, .. } = self;
         let taken_obstacles = ports.take_obstacles(|message| {
-            if obstacles.accept(message, now_ns, &limits.obstacles).is_ok() {
+            if obstacles.accept(message, now(), &limits.obstacles).is_ok() {
                 tap.obstacles(message);
             }
         })?;
@@ -179,7 +182,7 @@ impl<T: Tap> IoThread<T> {
             ends.obstacles.publish();
         }
         let taken_targets = ports.take_targets(|message| {
-            if target.accept(message, now_ns, &limits.target).is_ok() {
+            if target.accept(message, now(), &limits.target).is_ok() {
                 tap.target(message);
             }
         })?;
@@ -189,7 +192,7 @@ impl<T: Tap> IoThread<T> {
         }
         let taken_encoders = ports.take_encoders(|message| {
             // Rejections are counted in the table and reported in `State`.
-            let _ = encoders.accept(message, now_ns, &limits.encoders);
+            let _ = encoders.accept(message, now(), &limits.encoders);
         })?;
         if taken_encoders > 0 {
             ends.encoders.input_buffer_mut().clone_from(encoders);
@@ -198,14 +201,14 @@ impl<T: Tap> IoThread<T> {
         Ok(taken_obstacles + taken_targets + taken_encoders)
     }
 
-    fn move_requests(&mut self, now_ns: u64) -> Result<usize, IpcError> {
+    fn move_requests(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
         let mut moved = 0;
         while let Ok(reply) = self.ends.replies.pop() {
             moved += 1;
             let Some(place) = self.open.iter().position(|(c, ..)| c.ticket == reply.ticket) else { continue };
             let (command, _, request) = self.open.swap_remove(place);
             if command.kind == RequestKind::Clear && reply.verdict == Verdict::Accepted {
-                self.obstacles.forget_expired(now_ns, &self.limits.obstacles);
+                self.obstacles.forget_expired(now(), &self.limits.obstacles);
                 self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
                 self.ends.obstacles.publish();
             }
@@ -215,8 +218,9 @@ impl<T: Tap> IoThread<T> {
             && let Some(request) = self.ports.next_request()?
         {
             moved += 1;
-            self.take_request(request, now_ns);
+            self.take_request(request, now());
         }
+        let now_ns = now();
         while let Some(place) = self.open.iter().position(|(_, since, _)| now_ns.saturating_sub(*since) > ANSWER_NS_MAX)
         {
             let (command, _, request) = self.open.swap_remove(place);

@@ -33,9 +33,18 @@ pub(super) trait Fields {
 
 /// Encodes a message.
 pub(super) fn encode<T: Fields>(message: &T) -> Vec<u8> {
-    let mut cdr = Cdr { bytes: vec![0, 1, 0, 0] };
+    let mut bytes = Vec::new();
+    encode_into(message, &mut bytes);
+    bytes
+}
+
+/// Encodes a message in place of what a buffer holds; allocates only where its capacity is too small.
+pub(super) fn encode_into<T: Fields>(message: &T, bytes: &mut Vec<u8>) {
+    bytes.clear();
+    bytes.extend_from_slice(&[0, 1, 0, 0]);
+    let mut cdr = Cdr { bytes: std::mem::take(bytes) };
     message.visit(&mut cdr);
-    cdr.bytes
+    *bytes = cdr.bytes;
 }
 
 /// Schema of a message type, with the types that it contains.

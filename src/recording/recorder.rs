@@ -1,26 +1,31 @@
 //! Writing: directly (open-loop runs), or through a thread of its own (the daemon).
 
 use super::RecordingError;
-use super::cdr::{Fields, encode, schema};
+use super::cdr::{Fields, encode, encode_into, schema};
 use crate::ipc::payload::{Obstacles, SCHEMA_VERSION, State, Target};
 use crate::ipc::{Event, Tap, service_name};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
+use rtrb::{Consumer, Producer, RingBuffer};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// A chunk is written when it has this many bytes.
 const CHUNK_BYTES: u64 = 256 * 1024;
 /// Or when it spans this much recorded time (ns): what a crash can cost.
 const FLUSH_NS: u64 = 1_000_000_000;
-/// Messages that may wait for the disk.
-const QUEUE: usize = 4096;
+/// Messages that may wait for the disk: two seconds of a loop at 1 kHz.
+const QUEUE: usize = 2048;
+/// Bytes that a buffer of the queue begins with: the record of a tick of the paper's arm fits.
+const BUFFER: usize = 4096;
+/// How often the thread looks into the queue.
+const LOOK: Duration = Duration::from_millis(5);
 
 /// Channels of a recording, in the order of their ids.
 #[derive(Debug, Clone, Copy)]
@@ -150,11 +155,24 @@ struct Packet {
     data: Vec<u8>,
 }
 
+impl Packet {
+    fn empty() -> Self {
+        Self { channel: Channel::State, time_ns: 0, data: Vec::with_capacity(BUFFER) }
+    }
+}
+
 /// Hands messages to a thread that writes them. Never blocks: what finds the queue full is dropped and counted.
+///
+/// The one who hands over runs at real-time priority and the thread at none, so they share nothing that one could wait
+/// for: two rings, one with messages, one with their buffers on the way back. A channel of the standard library would do
+/// for the order, but it wakes its receiver under a lock, and a buffer freed on another thread takes the allocator's: on
+/// a busy machine whoever holds such a lock may be without a processor for tens of milliseconds.
 ///
 /// As a [`Tap`] it sees all that passes the I/O thread. Dropping it finishes the file.
 pub struct Recorder {
-    queue: Option<SyncSender<Packet>>,
+    /// Messages; `None` once closed.
+    queue: Option<Producer<Packet>>,
+    empty: Consumer<Packet>,
     thread: Option<JoinHandle<()>>,
     dropped: Arc<AtomicU64>,
     offset_ns: u64,
@@ -175,12 +193,14 @@ impl Recorder {
         let mut about = about.clone();
         about.insert("monotonic_offset_ns".into(), offset_ns.to_string());
         let recording = Recording::create(path, arm, &about)?;
-        let (queue, packets) = sync_channel(QUEUE);
+        let (queue, packets) = RingBuffer::new(QUEUE);
+        let (mut used, empty) = RingBuffer::new(QUEUE);
+        while used.push(Packet::empty()).is_ok() {}
         let thread = std::thread::Builder::new()
             .name("sinew-record".into())
-            .spawn(move || write_all(recording, &packets))
+            .spawn(move || write_all(recording, packets, used))
             .map_err(|source| RecordingError::File { path: path.display().to_string(), source })?;
-        Ok(Self { queue: Some(queue), thread: Some(thread), dropped: Arc::default(), offset_ns })
+        Ok(Self { queue: Some(queue), empty, thread: Some(thread), dropped: Arc::default(), offset_ns })
     }
 
     /// Counter of dropped messages; stays valid when the recorder has gone elsewhere.
@@ -188,22 +208,44 @@ impl Recorder {
         self.dropped.clone()
     }
 
-    fn push<T: Fields>(&self, channel: Channel, time_ns: u64, message: &T) {
-        let packet = Packet { channel, time_ns: time_ns.saturating_add(self.offset_ns), data: encode(message) };
-        if self.queue.as_ref().is_none_or(|q| q.try_send(packet).is_err()) {
+    fn push<T: Fields>(&mut self, channel: Channel, time_ns: u64, message: &T) {
+        let time_ns = time_ns.saturating_add(self.offset_ns);
+        let pushed = match (&mut self.queue, self.empty.pop()) {
+            // Nobody there to write it: the thread has ended early.
+            (Some(queue), _) if queue.is_abandoned() => false,
+            (Some(queue), Ok(mut packet)) => {
+                (packet.channel, packet.time_ns) = (channel, time_ns);
+                encode_into(message, &mut packet.data);
+                // There are no more packets than places.
+                queue.push(packet).is_ok()
+            }
+            _ => false,
+        };
+        if !pushed {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
-/// The thread: until the queue is closed, or the disk refuses.
-fn write_all(mut recording: Recording, packets: &Receiver<Packet>) {
-    let result = packets
-        .iter()
-        .try_for_each(|p| recording.write(p.channel, p.time_ns, &p.data))
-        .and_then(|()| recording.finish().map(drop));
-    if let Err(error) = result {
-        // The receiver goes with this thread: from here on every message counts as dropped.
+/// The thread: until the queue is closed and empty, or the disk refuses.
+fn write_all(mut recording: Recording, mut packets: Consumer<Packet>, mut used: Producer<Packet>) {
+    let mut write = || -> Result<(), RecordingError> {
+        loop {
+            // Asked before the queue is emptied: what was pushed before it was closed is written.
+            let closed = packets.is_abandoned();
+            while let Ok(packet) = packets.pop() {
+                recording.write(packet.channel, packet.time_ns, &packet.data)?;
+                // The ring has a place for every packet there is.
+                let _ = used.push(packet);
+            }
+            if closed {
+                return Ok(());
+            }
+            std::thread::sleep(LOOK);
+        }
+    };
+    if let Err(error) = write().and_then(|()| recording.finish().map(drop)) {
+        // The ring's end goes with this thread: from here on every message counts as dropped.
         tracing::error!(%error, "recording ended early");
     }
 }

@@ -320,8 +320,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         self.applied.copy_from_slice(if torque { &self.sent } else { &self.zeros });
         if self.observing {
-            let bridged = self.encoders.bridged();
-            self.measured.iter_mut().enumerate().for_each(|(cable, m)| *m = !bridged.contains(cable));
+            // A missing reading counts as well: moved on with the model's cable it goes on pulling the estimate as the last
+            // one did. Left out, it would drop that pull within a tick, and the estimate's acceleration with it, which the
+            // planner extends over its whole lookahead. How long that may last is `encoder_silent_s`.
+            self.measured.iter_mut().zip(self.encoders.lengths_m()).for_each(|(m, length)| *m = length.is_finite());
             match self.estimator.update(&self.applied, self.encoders.lengths_m(), &self.measured) {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
