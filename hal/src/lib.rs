@@ -8,8 +8,6 @@ pub mod canopen;
 pub mod cia402;
 pub mod clock;
 pub mod fault_shim;
-#[cfg(fuzzing)]
-pub mod fuzzing;
 pub mod load;
 pub mod motor_bank;
 pub mod realtime;
