@@ -164,6 +164,8 @@ struct Line {
     /// Ready to go on. Always emptied before the next frame is taken in, so its capacity suffices.
     ready: VecDeque<Received>,
     counts: FaultCounts,
+    /// What is held by time waits for [`FaultShim::watch`]'s frame.
+    gated: bool,
 }
 
 impl Line {
@@ -171,7 +173,7 @@ impl Line {
         let held = Vec::with_capacity(HELD_MAX);
         // Each frame that comes in adds itself, perhaps twice, and all that are held can follow it.
         let ready = VecDeque::with_capacity(2 * HELD_MAX + 2);
-        Self { plans: Vec::new(), rng, held, ready, counts: FaultCounts::default() }
+        Self { plans: Vec::new(), rng, held, ready, counts: FaultCounts::default(), gated: false }
     }
 
     /// The fate of the next frame, and a random number for its details.
@@ -236,17 +238,21 @@ impl Line {
                 hold(Release::AtTime(now_ns.saturating_add(d)));
             }
         }
-        self.release(now_ns);
+        self.release_due(now_ns, !self.gated);
     }
 
     /// Moves what is due from `held` to `ready`, oldest first.
     fn release(&mut self, now_ns: u64) {
+        self.release_due(now_ns, true);
+    }
+
+    fn release_due(&mut self, now_ns: u64, timed: bool) {
         let last = self.counts.seen.wrapping_sub(1);
         let ready = &mut self.ready;
         self.held.retain(|h| {
             let due = match h.release {
                 Release::AtFrame(n) => self.counts.seen > 0 && last >= n,
-                Release::AtTime(t) => now_ns >= t,
+                Release::AtTime(t) => timed && now_ns >= t,
             };
             // Bounded by the capacity reserved: the rest waits for the caller to take what is ready.
             if !due || ready.len() == ready.capacity() {
@@ -350,11 +356,12 @@ impl<B: CanBus> FaultShim<B> {
     }
 
     /// Counts the frames of this identifier that come in, before anything is done to them: a simulation whose time goes
-    /// by a frame needs to know of it although the simulated nodes do not get it. A receive also returns, if need be
-    /// with nothing, as soon as one came. Held frames then go on only beside another frame of their direction, or with
-    /// [`Self::send_due`]: who waits for whom no longer decides their place.
+    /// by a frame needs to know of it although the simulated nodes do not get it. A receive returns with nothing as
+    /// soon as one came; what it left behind is [`Self::next_ready`]. Frames that are held by time then go on just before a watched one comes in, and
+    /// out with [`Self::send_due`]: who waits for whom no longer decides their place.
     pub fn watch(&mut self, id: Id) {
         self.watched = Some(id);
+        self.incoming.gated = true;
     }
 
     /// Hands on held frames whose time has come.
@@ -364,6 +371,11 @@ impl<B: CanBus> FaultShim<B> {
     pub fn send_due(&mut self) -> Result<(), SendError> {
         self.outgoing.release(self.clock.now_ns());
         self.send_ready()
+    }
+
+    /// The next received frame that has been through the faults, without looking for another one on the bus.
+    pub fn next_ready(&mut self) -> Option<Received> {
+        self.incoming.ready.pop_front()
     }
 
     /// Watched frames so far.
@@ -429,10 +441,14 @@ impl<B: CanBus> CanBus for FaultShim<B> {
                 && (self.outgoing.next_time_ns().is_some() || self.incoming.next_time_ns().is_some());
             match self.bus.receive(if timed { left.min(CLOCK_POLL) } else { left })? {
                 Some(received) => {
+                    let watched = self.watched == Some(received.frame.id());
+                    if watched {
+                        self.incoming.release(self.clock.now_ns());
+                    }
                     self.incoming.take(received, self.clock.now_ns());
-                    if self.watched == Some(received.frame.id()) {
+                    if watched {
                         self.watched_count += 1;
-                        return Ok(self.incoming.ready.pop_front());
+                        return Ok(None);
                     }
                 }
                 None if left.is_zero() => return Ok(None),
@@ -461,6 +477,7 @@ impl<B: CanBus> CanBus for FaultShim<B> {
         shim.set_plans(&self.outgoing.plans, &self.incoming.plans).map_err(std::io::Error::other)?;
         shim.duplicates = Arc::clone(&self.duplicates);
         shim.watched = self.watched;
+        shim.incoming.gated = self.incoming.gated;
         Ok(Box::new(shim))
     }
 }
@@ -603,9 +620,29 @@ mod tests {
         let mut s = shim(FaultPlan::default(), FaultPlan { drop: 1.0, ..FaultPlan::default() }, 1);
         s.watch(Id::Standard(0x203));
         (0..16).for_each(|i| s.send(&frame(i)).unwrap());
-        // Each of the two ends a receive although nothing passes.
+        // Each of the two ends a receive, and nothing passes.
         assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 1, 12));
         assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 2, 4));
+    }
+
+    #[test]
+    fn what_is_late_by_time_comes_in_just_before_a_watched_frame() {
+        let clock = Arc::new(Lockstep::new(0));
+        let mut s = FaultShim::clean(Echo::default(), 1, clock.clone());
+        s.watch(Id::Standard(0x203));
+        let late = FaultPlan { delay: 1.0, delay_by: Delay::Time(Duration::from_nanos(5)), ..FaultPlan::default() };
+        s.set_plans(&[], &[late]).unwrap();
+        s.send(&frame(0)).unwrap();
+        assert_eq!(s.receive(Duration::ZERO), Ok(None));
+        s.set_plans(&[], &[]).unwrap();
+        clock.advance_to(5);
+        (1..4).for_each(|i| s.send(&frame(i)).unwrap());
+        let mut got = Vec::new();
+        while let Some(r) = s.receive(Duration::ZERO).unwrap() {
+            got.push(r.frame);
+        }
+        assert_eq!((s.watched(), numbers(got)), (1, vec![1, 2]));
+        assert_eq!(numbers(std::iter::from_fn(|| s.next_ready()).map(|r| r.frame)), [0, 3]);
     }
 
     #[test]

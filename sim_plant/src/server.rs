@@ -118,8 +118,10 @@ struct Wire {
     /// Cable of each of the bank's drives.
     cables: Vec<usize>,
     outbox: VecDeque<Frame>,
-    /// The controller sent SYNC for this period, and the drives got it.
-    synced: Option<bool>,
+    /// The controller sent SYNC for this period, and the drives got so many.
+    synced: Option<u32>,
+    /// SYNCs that came after their period; drives get them with the next one.
+    late_syncs: u32,
     /// The period is over, and TIME has not been sent yet.
     over: bool,
 }
@@ -192,7 +194,7 @@ impl Server {
             if plant.pace == Pace::Lockstep {
                 bus.watch(Id::Standard(SYNC));
             }
-            wires.push(Wire { bus, bank: DriveBank::new(drives), cables, outbox, synced: None, over: false });
+            wires.push(Wire { bus, bank: DriveBank::new(drives), cables, outbox, synced: None, late_syncs: 0, over: false });
         }
         let cables = places.len();
         Ok(Self {
@@ -267,18 +269,19 @@ impl Server {
                     let frame = self.receive(index, WAIT_MAX, &mut busy).map(|received| received.frame);
                     // The controller's SYNC is the clock; whether the drives get it is another matter.
                     let period = self.wires[index].bus.watched() > before;
-                    let sync = frame.filter(|f| period && Message::of(f) == Some(Message::Sync));
                     if period {
                         (heard_ns, busy) = (monotonic_ns(), true);
-                        self.on_lockstep_sync(index, sync.is_some())?;
+                        self.on_lockstep_sync(index)?;
                     }
                     match frame {
-                        Some(frame) if sync.is_none() => {
+                        // Doubled or late: in a period that is over it would race the next one's frames.
+                        Some(frame) if is_sync(&frame) => self.wires[index].late_syncs += 1,
+                        Some(frame) => {
                             self.wires[index].bank.on_frame(&frame, self.now_ns);
                             self.flush();
                         }
                         None if !period => break,
-                        _ => {}
+                        None => {}
                     }
                 }
             }
@@ -292,15 +295,24 @@ impl Server {
         Ok(())
     }
 
-    fn on_lockstep_sync(&mut self, index: usize, heard: bool) -> Result<(), ServerError> {
+    fn on_lockstep_sync(&mut self, index: usize) -> Result<(), ServerError> {
         if self.wires[index].synced.is_some() {
             // Another bus missed its SYNC: its drives keep their targets, and time goes on.
             self.finish_sync()?;
         }
         let now_ns = self.now_ns;
         let wire = &mut self.wires[index];
+        // What is ready up to the SYNC itself, if it passed, belongs to this period.
+        let mut heard = std::mem::take(&mut wire.late_syncs);
+        while let Some(received) = wire.bus.next_ready() {
+            if is_sync(&received.frame) {
+                heard += 1;
+                break;
+            }
+            wire.bank.on_frame(&received.frame, now_ns);
+        }
         wire.synced = Some(heard);
-        if heard {
+        if heard > 0 {
             wire.bank.drives_mut().iter_mut().for_each(|drive| drive.latch_sync(now_ns));
         }
         if self.wires.iter().all(|wire| wire.synced.is_some()) { self.finish_sync() } else { Ok(()) }
@@ -311,7 +323,8 @@ impl Server {
         self.period()?;
         let now_ns = self.now_ns;
         for wire in &mut self.wires {
-            if wire.synced.take() == Some(true) {
+            let heard = wire.synced.take().unwrap_or(0);
+            for _ in 0..heard {
                 wire.bank.drives_mut().iter_mut().for_each(|drive| drive.answer_sync(now_ns));
             }
             wire.over = true;
@@ -365,7 +378,12 @@ impl Server {
             }
             if !busy {
                 self.now_ns = self.now_ns.max(looked_ns);
+                let before_ns = reached_ns;
                 reached_ns = self.advance_to(reached_ns, self.now_ns)?;
+                if reached_ns > before_ns {
+                    // For who reads objects by SDO; a SYNC reads the encoders anew.
+                    self.give_feedback(0.0);
+                }
                 self.poll_drives();
             }
         }
@@ -538,6 +556,10 @@ impl Server {
             }
         }
     }
+}
+
+fn is_sync(frame: &Frame) -> bool {
+    Message::of(frame) == Some(Message::Sync)
 }
 
 fn is_from(frame: &Frame, node: NodeId) -> bool {
