@@ -15,7 +15,9 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use thiserror::Error;
 
-use crate::can::{BusCounters, BusState, CanBus, Filter, FilterSet, Frame, Kind, ReceiveError, Received, SendError};
+use crate::can::{
+    BusCounters, BusState, CanBus, Filter, FilterSet, Frame, Id, Kind, ReceiveError, Received, SendError,
+};
 use crate::clock::Clock;
 
 /// Frames that one direction holds back or has ready at most; a frame beyond that passes untouched.
@@ -95,6 +97,22 @@ impl Default for FaultPlan {
     }
 }
 
+impl FaultPlan {
+    fn check(&self) -> Result<(), FaultPlanError> {
+        let probabilities = [
+            ("drop", self.drop),
+            ("corrupt", self.corrupt),
+            ("duplicate", self.duplicate),
+            ("reorder", self.reorder),
+            ("delay", self.delay),
+        ];
+        match probabilities.iter().find(|(_, p)| !(0.0..=1.0).contains(p)) {
+            Some(&(fault, found)) => Err(FaultPlanError { fault, found }),
+            None => Ok(()),
+        }
+    }
+}
+
 /// A plan that makes no sense.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("probability of {fault}: {found}, expected 0 to 1")]
@@ -140,51 +158,46 @@ struct Held {
 
 /// One direction.
 struct Line {
-    plan: FaultPlan,
+    plans: Vec<FaultPlan>,
     rng: Xoshiro256PlusPlus,
     held: Vec<Held>,
     /// Ready to go on. Always emptied before the next frame is taken in, so its capacity suffices.
     ready: VecDeque<Received>,
     counts: FaultCounts,
+    /// What is held by time waits for [`FaultShim::watch`]'s frame.
+    gated: bool,
 }
 
 impl Line {
-    fn new(plan: FaultPlan, rng: Xoshiro256PlusPlus) -> Result<Self, FaultPlanError> {
-        let probabilities = [
-            ("drop", plan.drop),
-            ("corrupt", plan.corrupt),
-            ("duplicate", plan.duplicate),
-            ("reorder", plan.reorder),
-            ("delay", plan.delay),
-        ];
-        if let Some(&(fault, found)) = probabilities.iter().find(|(_, p)| !(0.0..=1.0).contains(p)) {
-            return Err(FaultPlanError { fault, found });
-        }
+    fn new(rng: Xoshiro256PlusPlus) -> Self {
         let held = Vec::with_capacity(HELD_MAX);
         // Each frame that comes in adds itself, perhaps twice, and all that are held can follow it.
         let ready = VecDeque::with_capacity(2 * HELD_MAX + 2);
-        Ok(Self { plan, rng, held, ready, counts: FaultCounts::default() })
+        Self { plans: Vec::new(), rng, held, ready, counts: FaultCounts::default(), gated: false }
     }
 
     /// The fate of the next frame, and a random number for its details.
     fn draw(&mut self, number: u64, frame: &Frame) -> (Option<Fault>, u32) {
-        let p = &self.plan;
-        let chances = [
-            (p.drop, Fault::Drop),
-            (p.corrupt, Fault::Corrupt),
-            (p.duplicate, Fault::Duplicate),
-            (p.reorder, Fault::Reorder),
-            (p.delay, Fault::Delay(p.delay_by)),
-        ]
-        .map(|(probability, fault)| (self.rng.random::<f64>() < probability).then_some(fault));
+        let mut fate = None;
+        for p in &self.plans {
+            let chances = [
+                (p.drop, Fault::Drop),
+                (p.corrupt, Fault::Corrupt),
+                (p.duplicate, Fault::Duplicate),
+                (p.reorder, Fault::Reorder),
+                (p.delay, Fault::Delay(p.delay_by)),
+            ]
+            .map(|(probability, fault)| (self.rng.random::<f64>() < probability).then_some(fault));
+            let scripted = p.script.iter().find(|s| s.frames.contains(&number) && s.ids.passes(frame.id()));
+            let fault = match scripted {
+                Some(scripted) => Some(scripted.fault),
+                None if p.ids.passes(frame.id()) => chances.into_iter().flatten().next(),
+                None => None,
+            };
+            fate = fate.or(fault);
+        }
         let detail = self.rng.random();
-        let scripted = p.script.iter().find(|s| s.frames.contains(&number) && s.ids.passes(frame.id()));
-        let fault = match scripted {
-            Some(scripted) => Some(scripted.fault),
-            None if p.ids.passes(frame.id()) => chances.into_iter().flatten().next(),
-            None => None,
-        };
-        (fault, detail)
+        (fate, detail)
     }
 
     /// Takes a frame in; whatever is to go on now is then in `ready`.
@@ -225,17 +238,21 @@ impl Line {
                 hold(Release::AtTime(now_ns.saturating_add(d)));
             }
         }
-        self.release(now_ns);
+        self.release_due(now_ns, !self.gated);
     }
 
     /// Moves what is due from `held` to `ready`, oldest first.
     fn release(&mut self, now_ns: u64) {
+        self.release_due(now_ns, true);
+    }
+
+    fn release_due(&mut self, now_ns: u64, timed: bool) {
         let last = self.counts.seen.wrapping_sub(1);
         let ready = &mut self.ready;
         self.held.retain(|h| {
             let due = match h.release {
                 Release::AtFrame(n) => self.counts.seen > 0 && last >= n,
-                Release::AtTime(t) => now_ns >= t,
+                Release::AtTime(t) => timed && now_ns >= t,
             };
             // Bounded by the capacity reserved: the rest waits for the caller to take what is ready.
             if !due || ready.len() == ready.capacity() {
@@ -273,6 +290,9 @@ pub struct FaultShim<B> {
     incoming: Line,
     seed: u64,
     clock: Arc<dyn Clock>,
+    /// Identifier whose frames are counted before anything is done to them.
+    watched: Option<Id>,
+    watched_count: u64,
     /// Duplicates made by this handle and its duplicates, so that each has faults of its own.
     duplicates: Arc<AtomicU64>,
 }
@@ -292,17 +312,75 @@ impl<B: CanBus> FaultShim<B> {
         seed: u64,
         clock: Arc<dyn Clock>,
     ) -> Result<Self, FaultPlanError> {
+        let mut shim = Self::clean(bus, seed, clock);
+        shim.set_plans(&[outgoing], &[incoming])?;
+        Ok(shim)
+    }
+
+    /// A shim that does nothing until it is given plans.
+    pub fn clean(bus: B, seed: u64, clock: Arc<dyn Clock>) -> Self {
         let first = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut second = first.clone();
         second.jump();
-        Ok(Self {
+        Self {
             bus,
-            outgoing: Line::new(outgoing, first)?,
-            incoming: Line::new(incoming, second)?,
+            outgoing: Line::new(first),
+            incoming: Line::new(second),
             seed,
             clock,
+            watched: None,
+            watched_count: 0,
             duplicates: Arc::default(),
-        })
+        }
+    }
+
+    /// Other plans from the next frame on, as many as wanted (each has identifiers of its own; the first that does
+    /// something to a frame decides). What is held or ready goes on as it was meant to, counts and random numbers go on,
+    /// and `frames` of scripts are still counted from the shim's beginning. Allocates.
+    ///
+    /// # Errors
+    /// A probability outside 0 to 1; the plans stay as they were.
+    pub fn set_plans(&mut self, outgoing: &[FaultPlan], incoming: &[FaultPlan]) -> Result<(), FaultPlanError> {
+        outgoing.iter().chain(incoming).try_for_each(FaultPlan::check)?;
+        self.outgoing.plans = outgoing.to_vec();
+        self.incoming.plans = incoming.to_vec();
+        Ok(())
+    }
+
+    /// Draws from this seed on: what follows depends on the frames from here on, not on those before.
+    pub fn reseed(&mut self, seed: u64) {
+        self.seed = seed;
+        self.outgoing.rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        self.incoming.rng = self.outgoing.rng.clone();
+        self.incoming.rng.jump();
+    }
+
+    /// Counts the frames of this identifier that come in, before anything is done to them: a simulation whose time goes
+    /// by a frame needs to know of it although the simulated nodes do not get it. A receive returns with nothing as
+    /// soon as one came; what it left behind is [`Self::next_ready`]. Frames that are held by time then go on just before a watched one comes in, and
+    /// out with [`Self::send_due`]: who waits for whom no longer decides their place.
+    pub fn watch(&mut self, id: Id) {
+        self.watched = Some(id);
+        self.incoming.gated = true;
+    }
+
+    /// Hands on held frames whose time has come.
+    ///
+    /// # Errors
+    /// The bus's, for the first frame that it refused.
+    pub fn send_due(&mut self) -> Result<(), SendError> {
+        self.outgoing.release(self.clock.now_ns());
+        self.send_ready()
+    }
+
+    /// The next received frame that has been through the faults, without looking for another one on the bus.
+    pub fn next_ready(&mut self) -> Option<Received> {
+        self.incoming.ready.pop_front()
+    }
+
+    /// Watched frames so far.
+    pub fn watched(&self) -> u64 {
+        self.watched_count
     }
 
     /// What was done to sent and to received frames.
@@ -313,6 +391,11 @@ impl<B: CanBus> FaultShim<B> {
     /// The bus behind the faults.
     pub fn inner(&self) -> &B {
         &self.bus
+    }
+
+    /// The same, for frames that no fault shall touch.
+    pub fn inner_mut(&mut self) -> &mut B {
+        &mut self.bus
     }
 
     /// Hands on what is ready to be sent; an error is the bus's, for the first frame that it refused.
@@ -345,17 +428,29 @@ impl<B: CanBus> CanBus for FaultShim<B> {
             crate::clock::monotonic_ns().saturating_add(u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX));
         loop {
             let now_ns = self.clock.now_ns();
-            self.outgoing.release(now_ns);
-            // There is nobody to tell about a refusal now; it is counted.
-            let _ = self.send_ready();
-            self.incoming.release(now_ns);
+            if self.watched.is_none() {
+                // There is nobody to tell about a refusal now; it is counted.
+                let _ = self.send_due();
+                self.incoming.release(now_ns);
+            }
             if let Some(received) = self.incoming.ready.pop_front() {
                 return Ok(Some(received));
             }
             let left = Duration::from_nanos(deadline_ns.saturating_sub(crate::clock::monotonic_ns()));
-            let timed = self.outgoing.next_time_ns().is_some() || self.incoming.next_time_ns().is_some();
+            let timed = self.watched.is_none()
+                && (self.outgoing.next_time_ns().is_some() || self.incoming.next_time_ns().is_some());
             match self.bus.receive(if timed { left.min(CLOCK_POLL) } else { left })? {
-                Some(received) => self.incoming.take(received, self.clock.now_ns()),
+                Some(received) => {
+                    let watched = self.watched == Some(received.frame.id());
+                    if watched {
+                        self.incoming.release(self.clock.now_ns());
+                    }
+                    self.incoming.take(received, self.clock.now_ns());
+                    if watched {
+                        self.watched_count += 1;
+                        return Ok(None);
+                    }
+                }
                 None if left.is_zero() => return Ok(None),
                 None => {}
             }
@@ -378,10 +473,11 @@ impl<B: CanBus> CanBus for FaultShim<B> {
     fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
         let number = self.duplicates.fetch_add(1, Ordering::Relaxed) + 1;
         let seed = self.seed.wrapping_add(number.wrapping_mul(0x9e37_79b9_7f4a_7c15));
-        let (outgoing, incoming) = (self.outgoing.plan.clone(), self.incoming.plan.clone());
-        let mut shim = FaultShim::new(self.bus.duplicate()?, outgoing, incoming, seed, Arc::clone(&self.clock))
-            .map_err(std::io::Error::other)?;
+        let mut shim = FaultShim::clean(self.bus.duplicate()?, seed, Arc::clone(&self.clock));
+        shim.set_plans(&self.outgoing.plans, &self.incoming.plans).map_err(std::io::Error::other)?;
         shim.duplicates = Arc::clone(&self.duplicates);
+        shim.watched = self.watched;
+        shim.incoming.gated = self.incoming.gated;
         Ok(Box::new(shim))
     }
 }
@@ -389,7 +485,6 @@ impl<B: CanBus> CanBus for FaultShim<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::can::Id;
     use crate::clock::{Lockstep, Monotonic};
 
     /// A bus that hears what it sends.
@@ -518,6 +613,54 @@ mod tests {
         clock.advance_to(1500);
         // The frame was received at time 1 and came 500 ns late.
         assert_eq!(s.receive(Duration::ZERO), Ok(Some(Received { frame: frame(9), time_ns: 501 })));
+    }
+
+    #[test]
+    fn watched_frames_are_counted_whatever_becomes_of_them() {
+        let mut s = shim(FaultPlan::default(), FaultPlan { drop: 1.0, ..FaultPlan::default() }, 1);
+        s.watch(Id::Standard(0x203));
+        (0..16).for_each(|i| s.send(&frame(i)).unwrap());
+        // Each of the two ends a receive, and nothing passes.
+        assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 1, 12));
+        assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 2, 4));
+    }
+
+    #[test]
+    fn what_is_late_by_time_comes_in_just_before_a_watched_frame() {
+        let clock = Arc::new(Lockstep::new(0));
+        let mut s = FaultShim::clean(Echo::default(), 1, clock.clone());
+        s.watch(Id::Standard(0x203));
+        let late = FaultPlan { delay: 1.0, delay_by: Delay::Time(Duration::from_nanos(5)), ..FaultPlan::default() };
+        s.set_plans(&[], &[late]).unwrap();
+        s.send(&frame(0)).unwrap();
+        assert_eq!(s.receive(Duration::ZERO), Ok(None));
+        s.set_plans(&[], &[]).unwrap();
+        clock.advance_to(5);
+        (1..4).for_each(|i| s.send(&frame(i)).unwrap());
+        let mut got = Vec::new();
+        while let Some(r) = s.receive(Duration::ZERO).unwrap() {
+            got.push(r.frame);
+        }
+        assert_eq!((s.watched(), numbers(got)), (1, vec![1, 2]));
+        assert_eq!(numbers(std::iter::from_fn(|| s.next_ready()).map(|r| r.frame)), [0, 3]);
+    }
+
+    #[test]
+    fn plans_change_between_two_frames_and_a_seed_begins_anew() {
+        let faulty = FaultPlan { drop: 0.5, ..FaultPlan::default() };
+        let run = |before: u16| {
+            let mut s = shim(FaultPlan::default(), FaultPlan::default(), 1);
+            (0..before).for_each(|i| s.send(&frame(i)).unwrap());
+            assert_eq!(s.bus.0.len(), usize::from(before), "no faults yet");
+            s.set_plans(std::slice::from_ref(&faulty), &[]).unwrap();
+            s.reseed(5);
+            (0..100).for_each(|i| s.send(&frame(i)).unwrap());
+            numbers(s.bus.0.drain(usize::from(before)..))
+        };
+        assert_eq!(run(0), run(33));
+        assert!((20..80).contains(&run(0).len()));
+        let mut s = shim(FaultPlan::default(), FaultPlan::default(), 1);
+        assert!(s.set_plans(&[FaultPlan { drop: 2.0, ..faulty }], &[]).is_err());
     }
 
     #[test]

@@ -241,6 +241,14 @@ fn parse(line: &[u8]) -> Option<Line> {
     }
 }
 
+/// The door of the fuzz target: a line is a command, whose frame has at most eight bytes, or nothing.
+#[cfg(fuzzing)]
+pub fn fuzz_parse(line: &[u8]) {
+    if let Some(Line::Send(frame)) = parse(line) {
+        assert!(format_frame(&frame).is_some());
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,4 +1,4 @@
-//! Faults by command: encoders that stick, jump or fall silent, drives that trip or die.
+//! Faults by command: encoders that stick, jump or fall silent, drives that trip, restart or die.
 //!
 //! Enters: texts such as `stick:7@12.5`. Leaves: what happens to which cable, and when. It never decides by itself: a
 //! cable left to chance (`any`) is drawn from the plant's seed, so that a seed gives the same fault every time.
@@ -20,6 +20,8 @@ pub enum FaultKind {
     Trip,
     /// The drive loses its supply: no torque, no frame, no answer.
     Dead,
+    /// The drive's supply fails for a moment: it starts anew, announces itself, and has lost its configuration.
+    Reboot,
 }
 
 /// Which cable.
@@ -52,7 +54,7 @@ impl FromStr for FaultSpec {
     fn from_str(text: &str) -> Result<Self, String> {
         let usage = || {
             format!(
-                "`{text}`: expected stick|jump|silence|trip|dead:CABLE[:METRES][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
+                "`{text}`: expected stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
             )
         };
         let (what, at) = text.split_once('@').unwrap_or((text, "0"));
@@ -78,6 +80,7 @@ impl FromStr for FaultSpec {
             (Some("silence"), None) => FaultKind::Silence,
             (Some("trip"), None) => FaultKind::Trip,
             (Some("dead"), None) => FaultKind::Dead,
+            (Some("reboot"), None) => FaultKind::Reboot,
             _ => return Err(usage()),
         };
         let which = match cable {
@@ -142,6 +145,7 @@ mod tests {
         assert_eq!(spec("stick:7@12.5"), FaultSpec { kind: FaultKind::Stick, which: Which::Cable(7), at_s: 12.5 });
         assert_eq!(spec("jump:any:-0.03"), FaultSpec { kind: FaultKind::Jump(-0.03), which: Which::Any, at_s: 0.0 });
         assert_eq!(spec("dead:24@1").kind, FaultKind::Dead);
+        assert_eq!(spec("reboot:2@1").kind, FaultKind::Reboot);
     }
 
     #[test]

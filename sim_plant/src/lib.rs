@@ -4,7 +4,8 @@
 //! only, a trace of the true arm. It knows the controller by its frames alone: no shared memory, no other channel.
 //!
 //! * [`truth`]: the arm; [`drive`]: the drives' protocol; [`rig`]: drums, brakes and encoders between them;
-//! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`trace`]: the truth on file;
+//! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`wire`]: what goes wrong on
+//!   the buses; [`trace`]: the truth on file;
 //! * [`config`]: the table of the plant's settings.
 
 pub mod config;
@@ -14,3 +15,4 @@ pub mod rig;
 pub mod server;
 pub mod trace;
 pub mod truth;
+pub mod wire;

@@ -10,6 +10,7 @@ use sim_plant::fault::{FaultSpec, Schedule};
 use sim_plant::rig::{Rig, Start};
 use sim_plant::server::Server;
 use sim_plant::trace::Trace;
+use sim_plant::wire::WireFault;
 use sinew::config::{Config, ScenarioConfig};
 use sinew::model::Arm;
 use sinew::scenario::Course;
@@ -41,10 +42,19 @@ struct Arguments {
     /// Rest in the equilibrium under these tensions (N), one per cable, reached from the straight arm.
     #[arg(long, value_name = "N", num_args = 1.., value_delimiter = ',')]
     start_tensions: Option<Vec<f64>>,
-    /// Break something: stick|jump|silence|trip|dead:CABLE[:METRES][@SECONDS since the first drive was enabled]; CABLE is
+    /// Break something: stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS since the first drive was enabled]; CABLE is
     /// counted from 1 over the whole arm, or `any`.
     #[arg(long, value_name = "FAULT")]
     fault: Vec<FaultSpec>,
+    /// Let frames between controller and drives go wrong, with chances from the seed:
+    /// KIND[:FRAMES[.NODE]][=PROBABILITY][@FROM[-TO] s since the first drive was enabled], e.g. drop=0.01, drop:sync@4-4.05,
+    /// delay2:tpdo.5@4; several separated by commas. KIND: drop|delay[N periods]|duplicate|reorder|corrupt; FRAMES:
+    /// all|nmt|sync|emcy|rpdo|tpdo|sdo|master|heartbeat.
+    #[arg(long, value_name = "FAULT", value_delimiter = ',')]
+    wire: Vec<WireFault>,
+    /// Serve the first bus to socketcand clients (python-can) on this port of 127.0.0.1; 0 chooses one. It is printed.
+    #[arg(long, value_name = "PORT")]
+    socketcand: Option<u16>,
 }
 
 fn main() -> ExitCode {
@@ -58,7 +68,7 @@ fn main() -> ExitCode {
         .init();
     let stop = Arc::new(AtomicBool::new(false));
     let prepared = prepare(&arguments, &stop);
-    match prepared.map(|server| server.run(&stop)) {
+    match prepared.map(|(server, _socketcand)| server.run(&stop)) {
         Ok(Ok(served)) => {
             tracing::info!(?served, "stopped");
             if served.late > 0 || served.given_up_ns > 0 || served.dropped > 0 {
@@ -83,7 +93,9 @@ fn main() -> ExitCode {
     }
 }
 
-fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<Server> {
+type Socketcand = Option<sinew_hal::socketcand::Server>;
+
+fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Server, Socketcand)> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
     }
@@ -107,12 +119,23 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<Serv
         Some(path) => Some(Trace::create(path, &config.arm.name, &rig, plant.truth.seed).into_diagnostic()?),
         None => None,
     };
-    let server = Server::open(&config, &plant, rig, schedule, trace).into_diagnostic()?;
+    let server = Server::open(&config, &plant, rig, schedule, trace)
+        .into_diagnostic()?
+        .with_wire_faults(arguments.wire.clone(), plant.seed);
+    let socketcand = match arguments.socketcand {
+        Some(port) => {
+            let bus = server.bus_handle().into_diagnostic()?;
+            let served = sinew_hal::socketcand::Server::start(("127.0.0.1", port), bus).into_diagnostic()?;
+            println!("sim_plant: socketcand on {}", served.address());
+            Some(served)
+        }
+        None => None,
+    };
     let buses: Vec<&str> = config.drives.buses.iter().map(|bus| bus.interface.as_str()).collect();
     println!("sim_plant: {} drives on {}", config.drives.drives.len(), buses.join(", "));
     // Whoever waits for the line reads a pipe, and a pipe is not flushed at the end of a line.
     std::io::stdout().flush().into_diagnostic()?;
-    Ok(server)
+    Ok((server, socketcand))
 }
 
 fn start(arguments: &Arguments, config: &Config) -> miette::Result<Start> {

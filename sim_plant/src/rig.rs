@@ -228,7 +228,7 @@ impl Rig {
         match kind {
             FaultKind::Stick => self.drums[cable].stuck = Some(self.encoder(cable, 0.0).0),
             FaultKind::Jump(by_m) => self.drums[cable].offset_m += by_m,
-            FaultKind::Silence | FaultKind::Trip | FaultKind::Dead => {}
+            FaultKind::Silence | FaultKind::Trip | FaultKind::Dead | FaultKind::Reboot => {}
         }
     }
 

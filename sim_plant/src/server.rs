@@ -8,7 +8,11 @@
 //! measure at the SYNC itself, which is one tick of latency. The drives' clock is the number of SYNCs times the period:
 //! heartbeats and SYNC guards count simulated time, and a run is the same bit for bit however fast it computes.
 //! A controller that dies stops that clock; so after [`SILENCE`] of real time without a SYNC it goes on with the computer's
-//! until the next SYNC, and the guards find out.
+//! until the next SYNC, and the guards find out. A period ends with a TIME object on every bus, after all answers: whoever
+//! waits for answers in lockstep knows by it that no more will come.
+//!
+//! **Faults on the wire** ([`crate::wire`]) lie between the bus and the drives. The clock of lockstep is no frame that
+//! could be lost: a SYNC that the drives do not get moves the arm all the same, and no fault touches TIME.
 //!
 //! **Real time.** The arm advances in fixed steps at absolute deadlines. An encoder is read at the SYNC: the last step's
 //! length, carried on at the last step's rate. A step that begins more than a step late is counted. Physics that falls
@@ -20,18 +24,21 @@ use crate::drive::{Drive, DriveBank, Nameplate};
 use crate::fault::{FaultKind, Schedule};
 use crate::rig::{DriveAction, Rig};
 use crate::trace::Trace;
+use crate::wire::{WireFault, WireFaults};
 use sinew::config::{BusKind, Config};
 use sinew::integrator::StepError;
 use sinew::recording::RecordingError;
 use sinew_hal::bus_config::{self, BusSpec, OpenError};
 use sinew_hal::can::{CanBus, Frame, Id, Received, SendError};
-use sinew_hal::canopen::cob::NodeIdError;
+use sinew_hal::canopen::cob::{NodeIdError, SYNC, time_frame};
 use sinew_hal::canopen::emcy::{code, register};
 use sinew_hal::canopen::{Message, NodeId};
 use sinew_hal::cia402::state::State;
-use sinew_hal::clock::monotonic_ns;
+use sinew_hal::clock::{Clock, Lockstep, Monotonic, monotonic_ns};
+use sinew_hal::fault_shim::FaultShim;
 use sinew_hal::realtime;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -89,6 +96,10 @@ pub struct Served {
     pub given_up_ns: u64,
     /// Frames dropped because a bus refused them for too long.
     pub dropped: u64,
+    /// Frames that a fault on the wire hit.
+    pub disturbed: u64,
+    /// Periods since the first drive was enabled, that one counted; 0 if none was.
+    pub periods_enabled: u64,
 }
 
 /// What is left of a drive.
@@ -102,12 +113,17 @@ enum Voice {
 }
 
 struct Wire {
-    bus: Box<dyn CanBus>,
+    bus: FaultShim<Box<dyn CanBus>>,
     bank: DriveBank,
     /// Cable of each of the bank's drives.
     cables: Vec<usize>,
     outbox: VecDeque<Frame>,
-    synced: bool,
+    /// The controller sent SYNC for this period, and the drives got so many.
+    synced: Option<u32>,
+    /// SYNCs that came after their period; drives get them with the next one.
+    late_syncs: u32,
+    /// The period is over, and TIME has not been sent yet.
+    over: bool,
 }
 
 /// The plant.
@@ -118,6 +134,11 @@ pub struct Server {
     voices: Vec<Voice>,
     rig: Rig,
     schedule: Schedule,
+    wire_faults: WireFaults,
+    wire_seed: u64,
+    wires_seeded: bool,
+    /// The shims' time in lockstep.
+    clock: Arc<Lockstep>,
     trace: Option<Trace>,
     pace: Pace,
     period_s: f64,
@@ -144,6 +165,7 @@ impl Server {
             Pace::Lockstep => 0,
             Pace::Realtime => monotonic_ns(),
         };
+        let clock = Arc::new(Lockstep::new(now_ns));
         let mut wires = Vec::with_capacity(config.drives.buses.len());
         let mut places = vec![(0, 0); config.drives.drives.len()];
         for (index, bus) in config.drives.buses.iter().enumerate() {
@@ -165,7 +187,14 @@ impl Server {
                 drives.push(Drive::new(NodeId::new(drive.node_id)?, nameplate, now_ns));
             }
             let outbox = VecDeque::with_capacity(256);
-            wires.push(Wire { bus: handle, bank: DriveBank::new(drives), cables, outbox, synced: false });
+            let mut bus = match plant.pace {
+                Pace::Lockstep => FaultShim::clean(handle, 0, clock.clone() as Arc<dyn Clock>),
+                Pace::Realtime => FaultShim::clean(handle, 0, Arc::new(Monotonic)),
+            };
+            if plant.pace == Pace::Lockstep {
+                bus.watch(Id::Standard(SYNC));
+            }
+            wires.push(Wire { bus, bank: DriveBank::new(drives), cables, outbox, synced: None, late_syncs: 0, over: false });
         }
         let cables = places.len();
         Ok(Self {
@@ -174,6 +203,10 @@ impl Server {
             voices: vec![Voice::Whole; cables],
             rig,
             schedule,
+            wire_faults: WireFaults::default(),
+            wire_seed: 0,
+            wires_seeded: false,
+            clock,
             trace,
             pace: plant.pace,
             period_s: config.timing.period_s,
@@ -182,6 +215,22 @@ impl Server {
             actions: vec![DriveAction { enabled: false, torque_permille: 0 }; cables],
             served: Served::default(),
         })
+    }
+
+    /// Lets frames go wrong, from the moment on at which the first drive is enabled.
+    #[must_use]
+    pub fn with_wire_faults(mut self, faults: Vec<WireFault>, seed: u64) -> Self {
+        (self.wire_faults, self.wire_seed) = (WireFaults::new(faults), seed);
+        self
+    }
+
+    /// A further handle on the first bus, for a server of it.
+    ///
+    /// # Errors
+    /// The operating system.
+    pub fn bus_handle(&self) -> std::io::Result<Box<dyn CanBus>> {
+        let wire = self.wires.first().ok_or_else(|| std::io::Error::other("no bus"))?;
+        wire.bus.inner().duplicate()
     }
 
     /// Serves the buses until `stop` is set, and completes the trace.
@@ -196,6 +245,14 @@ impl Server {
         let finished = self.trace.take().map_or(Ok(()), Trace::finish);
         ended?;
         finished?;
+        for wire in &self.wires {
+            let (out, into) = wire.bus.counts();
+            for c in [out, into] {
+                self.served.disturbed += c.dropped + c.corrupted + c.duplicated + c.reordered + c.delayed;
+            }
+        }
+        let enabled_s = self.rig.since_enabled_s().unwrap_or(0.0);
+        self.served.periods_enabled = (enabled_s / self.period_s).round() as u64;
         Ok(self.served)
     }
 
@@ -207,13 +264,24 @@ impl Server {
             self.poll_drives();
             let mut busy = false;
             for index in 0..self.wires.len() {
-                while let Some(Received { frame, .. }) = self.receive(index, WAIT_MAX, &mut busy) {
-                    if Message::of(&frame) == Some(Message::Sync) {
-                        heard_ns = monotonic_ns();
+                loop {
+                    let before = self.wires[index].bus.watched();
+                    let frame = self.receive(index, WAIT_MAX, &mut busy).map(|received| received.frame);
+                    // The controller's SYNC is the clock; whether the drives get it is another matter.
+                    let period = self.wires[index].bus.watched() > before;
+                    if period {
+                        (heard_ns, busy) = (monotonic_ns(), true);
                         self.on_lockstep_sync(index)?;
-                    } else {
-                        self.wires[index].bank.on_frame(&frame, self.now_ns);
-                        self.flush();
+                    }
+                    match frame {
+                        // Doubled or late: in a period that is over it would race the next one's frames.
+                        Some(frame) if is_sync(&frame) => self.wires[index].late_syncs += 1,
+                        Some(frame) => {
+                            self.wires[index].bank.on_frame(&frame, self.now_ns);
+                            self.flush();
+                        }
+                        None if !period => break,
+                        None => {}
                     }
                 }
             }
@@ -228,15 +296,26 @@ impl Server {
     }
 
     fn on_lockstep_sync(&mut self, index: usize) -> Result<(), ServerError> {
-        if self.wires[index].synced {
+        if self.wires[index].synced.is_some() {
             // Another bus missed its SYNC: its drives keep their targets, and time goes on.
             self.finish_sync()?;
         }
         let now_ns = self.now_ns;
         let wire = &mut self.wires[index];
-        wire.synced = true;
-        wire.bank.drives_mut().iter_mut().for_each(|drive| drive.latch_sync(now_ns));
-        if self.wires.iter().all(|wire| wire.synced) { self.finish_sync() } else { Ok(()) }
+        // What is ready up to the SYNC itself, if it passed, belongs to this period.
+        let mut heard = std::mem::take(&mut wire.late_syncs);
+        while let Some(received) = wire.bus.next_ready() {
+            if is_sync(&received.frame) {
+                heard += 1;
+                break;
+            }
+            wire.bank.on_frame(&received.frame, now_ns);
+        }
+        wire.synced = Some(heard);
+        if heard > 0 {
+            wire.bank.drives_mut().iter_mut().for_each(|drive| drive.latch_sync(now_ns));
+        }
+        if self.wires.iter().all(|wire| wire.synced.is_some()) { self.finish_sync() } else { Ok(()) }
     }
 
     fn finish_sync(&mut self) -> Result<(), ServerError> {
@@ -244,9 +323,11 @@ impl Server {
         self.period()?;
         let now_ns = self.now_ns;
         for wire in &mut self.wires {
-            if std::mem::take(&mut wire.synced) {
+            let heard = wire.synced.take().unwrap_or(0);
+            for _ in 0..heard {
                 wire.bank.drives_mut().iter_mut().for_each(|drive| drive.answer_sync(now_ns));
             }
+            wire.over = true;
         }
         self.poll_drives();
         Ok(())
@@ -257,6 +338,8 @@ impl Server {
         self.break_what_is_due();
         self.advance(self.period_s)?;
         self.now_ns += (self.period_s * 1e9).round() as u64;
+        self.clock.advance_to(self.now_ns);
+        self.disturb_wires();
         self.give_feedback(0.0);
         self.record()
     }
@@ -295,7 +378,12 @@ impl Server {
             }
             if !busy {
                 self.now_ns = self.now_ns.max(looked_ns);
+                let before_ns = reached_ns;
                 reached_ns = self.advance_to(reached_ns, self.now_ns)?;
+                if reached_ns > before_ns {
+                    // For who reads objects by SDO; a SYNC reads the encoders anew.
+                    self.give_feedback(0.0);
+                }
                 self.poll_drives();
             }
         }
@@ -321,6 +409,7 @@ impl Server {
             reached_ns += step_ns;
             self.break_what_is_due();
             self.advance(self.step_s)?;
+            self.disturb_wires();
             if self.served.steps.is_multiple_of(per_record) {
                 self.record_at(reached_ns)?;
             }
@@ -389,7 +478,38 @@ impl Server {
                         drive.trip(code::OVER_CURRENT, register::CURRENT, now_ns);
                     }
                 }
+                FaultKind::Reboot => {
+                    let now_ns = self.now_ns;
+                    if let Some(drive) = self.wires[bus].bank.drives_mut().get_mut(place) {
+                        drive.power_cycle(now_ns);
+                    }
+                }
                 FaultKind::Stick | FaultKind::Jump(_) => {}
+            }
+        }
+    }
+
+    /// Sets the shims to the faults of this time: for the answers of the period that has ended, and for what the
+    /// controller sends in the next one.
+    fn disturb_wires(&mut self) {
+        if self.wire_faults.is_empty() {
+            return;
+        }
+        let Some(since_s) = self.rig.since_enabled_s() else { return };
+        let first = !std::mem::replace(&mut self.wires_seeded, true);
+        if !self.wire_faults.advance_to(since_s) && !first {
+            return;
+        }
+        let period = Duration::from_secs_f64(self.period_s);
+        for (index, wire) in self.wires.iter_mut().enumerate() {
+            if first {
+                // Frames before this one are as many as the start happened to need.
+                wire.bus.reseed(self.wire_seed.wrapping_add(index as u64));
+            }
+            let nodes: Vec<u8> = wire.bank.drives().iter().map(|drive| drive.node().get()).collect();
+            let plans = self.wire_faults.plans(&nodes, period);
+            if let Err(error) = wire.bus.set_plans(&plans, &plans) {
+                tracing::warn!(%error, "faults on the wire"); // the probabilities were checked when they were read
             }
         }
     }
@@ -429,8 +549,17 @@ impl Server {
                 }
                 wire.outbox.pop_front();
             }
+            if wire.over && wire.outbox.is_empty() {
+                let _ = wire.bus.send_due(); // refused frames are counted by the shim
+                // Refused by a queue that is full: with the next look.
+                wire.over = wire.bus.inner_mut().send(&time_frame(self.now_ns)) == Err(SendError::Full);
+            }
         }
     }
+}
+
+fn is_sync(frame: &Frame) -> bool {
+    Message::of(frame) == Some(Message::Sync)
 }
 
 fn is_from(frame: &Frame, node: NodeId) -> bool {

@@ -73,6 +73,10 @@ pub(crate) struct Demo {
     /// Break something in the plant: stick|jump|silence|trip|dead:CABLE[:METRES][@SECONDS since the drives came up].
     #[arg(long, value_name = "FAULT")]
     fault: Vec<String>,
+    /// Let frames between daemon and drives go wrong: KIND[:FRAMES[.NODE]][=PROBABILITY][@FROM[-TO]], e.g. drop=0.01 for
+    /// a loss of 1 % both ways; see `sim_plant --help` and hal/FAULTS.md.
+    #[arg(long, value_name = "FAULT", value_delimiter = ',')]
+    wire: Vec<String>,
 }
 
 /// How the run itself ended.

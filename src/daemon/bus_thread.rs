@@ -99,6 +99,8 @@ struct Line {
     rates: BitRates,
     busy_s: f64,
     frames: u64,
+    /// Lockstep: the newest cycle that the plant has said to be over.
+    over: u64,
 }
 
 /// Everything that the bus thread owns.
@@ -152,6 +154,7 @@ impl BusThread {
             rates: BitRates { nominal: settings.bitrate_bps, data: settings.data_bitrate_bps },
             busy_s: 0.0,
             frames: 0,
+            over: 0,
         };
         Self {
             lines: buses.into_iter().zip(&config.drives.buses).map(line).collect(),
@@ -261,6 +264,8 @@ impl BusThread {
     /// was scheduled; the state is there before the encoders that release the tick.
     fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
         let cycle = match complete {
+            // A late answer can complete a cycle that was given up: its tick has been.
+            Some(cycle) if cycle <= self.published => return,
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
             None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
@@ -317,6 +322,12 @@ impl BusThread {
         {
             self.memory[drive].lost = false;
             self.memory[drive].seen = true;
+        }
+        if lockstep && Message::of(&received.frame) == Some(Message::Time) {
+            // Nothing more comes of this cycle: what is missing is missing, as it is at a tick's deadline in real time.
+            let cycle = self.decoder.cycle();
+            self.lines[bus].over = cycle;
+            return (cycle > self.published && self.lines.iter().all(|line| line.over == cycle)).then_some(cycle);
         }
         let sync_before_ns = self.decoder.sync_ns();
         match self.decoder.on_frame(bus, received) {

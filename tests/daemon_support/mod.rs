@@ -4,7 +4,8 @@
 use sim_plant::config::PlantConfig;
 use sim_plant::fault::{FaultSpec, Schedule};
 use sim_plant::rig::{Rig, Start};
-use sim_plant::server::Server;
+use sim_plant::server::{Served, Server};
+use sim_plant::wire::WireFault;
 use sinew::config::{BUILTIN_FILES, Config};
 use sinew::daemon::status::{StatusReport, ask};
 use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, SupervisorState, Target};
@@ -213,12 +214,17 @@ impl Drop for Daemon {
 /// The plant on a thread of this process.
 pub struct Plant {
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<Served>>,
 }
 
 impl Plant {
     /// Serves before this returns: its buses are open.
     pub fn start(place: &Place, lockstep: bool, faults: &[&str]) -> Self {
+        Self::start_on(place, lockstep, faults, &[])
+    }
+
+    /// The same with faults on the wire.
+    pub fn start_on(place: &Place, lockstep: bool, faults: &[&str], wire: &[&str]) -> Self {
         let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
         settings.truth.seed = 7;
         if lockstep {
@@ -227,13 +233,19 @@ impl Plant {
         let faults: Vec<FaultSpec> = faults.iter().map(|f| f.parse().unwrap()).collect();
         let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.truth.seed).unwrap();
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
-        let server = Server::open(&config, &settings, rig, schedule, None).unwrap();
+        let wire: Vec<WireFault> = wire.iter().map(|f| f.parse().unwrap()).collect();
+        let server =
+            Server::open(&config, &settings, rig, schedule, None).unwrap().with_wire_faults(wire, settings.seed);
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
-        let thread = std::thread::spawn(move || {
-            server.run(&flag).unwrap();
-        });
+        let thread = std::thread::spawn(move || server.run(&flag).unwrap());
         Self { stop, thread: Some(thread) }
+    }
+
+    /// Ends it; what happened.
+    pub fn stop(mut self) -> Served {
+        self.stop.store(true, Ordering::Release);
+        self.thread.take().unwrap().join().unwrap()
     }
 }
 

@@ -44,6 +44,9 @@ pub const NMT: u16 = 0x000;
 pub const SYNC: u16 = 0x080;
 /// Emergency objects, plus node id.
 pub const EMCY: u16 = 0x080;
+/// TIME: milliseconds since midnight (28 bits) and days. A simulated plant in lockstep sends it at the end of each of its
+/// periods, after all answers: then nothing more is to be waited for.
+pub const TIME: u16 = 0x100;
 /// First transmit PDO, plus node id; the n-th is `TPDO + 0x100 (n - 1)`.
 pub const TPDO: u16 = 0x180;
 /// First receive PDO, plus node id; the n-th is `RPDO + 0x100 (n - 1)`.
@@ -62,6 +65,8 @@ pub enum Message {
     Nmt,
     /// The SYNC object.
     Sync,
+    /// The TIME object.
+    Time,
     /// An emergency object of a node.
     Emergency(NodeId),
     /// A transmit PDO of a node, numbered from 1.
@@ -90,6 +95,9 @@ impl Message {
         if id == SYNC {
             return Some(Self::Sync);
         }
+        if id == TIME {
+            return Some(Self::Time);
+        }
         let node = NodeId::new((id & 0x7f) as u8).ok()?;
         Some(match id & 0x780 {
             EMCY => Self::Emergency(node),
@@ -101,6 +109,15 @@ impl Message {
             _ => return None,
         })
     }
+}
+
+/// The TIME object of a clock that began at midnight of day 0 (1984-01-01), at `time_ns`; it wraps after 65,536 days.
+pub fn time_frame(time_ns: u64) -> Frame {
+    const DAY_MS: u64 = 86_400_000;
+    let ms = time_ns / 1_000_000;
+    let [m0, m1, m2, m3, ..] = (ms % DAY_MS).to_le_bytes();
+    let [d0, d1, ..] = (ms / DAY_MS).to_le_bytes();
+    frame(TIME, &[m0, m1, m2, m3, d0, d1]).unwrap_or_else(|_| unreachable_frame())
 }
 
 /// A classic frame with a standard identifier.
@@ -133,6 +150,8 @@ mod tests {
         let of = |id: u16| Message::of(&frame(id, &[]).unwrap());
         assert_eq!(of(0), Some(Message::Nmt));
         assert_eq!(of(0x80), Some(Message::Sync));
+        assert_eq!(of(0x100), Some(Message::Time));
+        assert_eq!(of(0x101), None);
         assert_eq!(of(0x85), Some(Message::Emergency(n)));
         assert_eq!(of(0x185), Some(Message::Tpdo(1, n)));
         assert_eq!(of(0x485), Some(Message::Tpdo(4, n)));
@@ -143,6 +162,12 @@ mod tests {
         assert_eq!(of(0x705), Some(Message::Heartbeat(n)));
         assert_eq!(of(0x180), None);
         assert_eq!(of(0x685), None);
+    }
+
+    #[test]
+    fn time_is_six_bytes_of_milliseconds_and_days() {
+        let f = time_frame((86_400_000 * 3 + 0x0102_0304) * 1_000_000 + 999_999);
+        assert_eq!((f.id(), f.data()), (Id::Standard(0x100), &[4, 3, 2, 1, 3, 0][..]));
     }
 
     #[test]

@@ -112,6 +112,9 @@ impl SdoClient {
         {
             return (Outcome::Pending, None);
         }
+        if self.is_stale(&response) {
+            return (Outcome::Pending, None);
+        }
         match self.advance(response) {
             Ok(None) => {
                 self.step = Step::Idle;
@@ -178,6 +181,16 @@ impl SdoClient {
                 }
             }
             _ => Err(AbortCode::COMMAND),
+        }
+    }
+
+    /// The start of a transfer meets an answer of the transfer before it with the same object: doubled on its way, or the
+    /// answer to the first of two attempts. Waiting on is right whichever it is; what never comes is a time-out.
+    fn is_stale(&self, response: &Response) -> bool {
+        match self.step {
+            Step::Upload => !matches!(response, Response::Upload { .. } | Response::Abort { .. }),
+            Step::Download => !matches!(response, Response::Download { .. } | Response::Abort { .. }),
+            _ => false,
         }
     }
 

@@ -190,6 +190,9 @@ fn offset(setup: &Setup, records: &[Record], truths: &[Truth]) -> miette::Result
         let mut count = 0;
         pairs.inspect(|_| count += 1).all(|(r, t)| same(r, t)) && count > 0
     };
+    if !setup.wire.is_empty() {
+        return disturbed_offset(records, truths, &steps);
+    }
     // From the end: while the arm holds its start, an earlier beginning fits as well until it moves.
     let place = (0..truths.len()).rev().find(|&place| fits(place) && truths.len() - place >= tracked(records));
     match place {
@@ -197,6 +200,29 @@ fn offset(setup: &Setup, records: &[Record], truths: &[Truth]) -> miette::Result
         None => Err(miette!(
             "the drives did not apply what the controller commanded: no offset between the recordings fits"
         )),
+    }
+}
+
+/// Ticks that are compared where frames are lost.
+const COMPARED: usize = 1000;
+
+/// The same where commands may be lost: the offset at which most of them, and more than half, arrived.
+fn disturbed_offset(records: &[Record], truths: &[Truth], steps: &[f64]) -> miette::Result<u64> {
+    let arrived = |place: usize| {
+        let pairs = records.iter().take(COMPARED).take_while(|r| r.tracks).zip(&truths[place..]);
+        let commands = |(r, t): (&Record, &Truth)| {
+            r.tensions.iter().zip(&t.tensions).zip(steps).filter(|((a, b), step)| (*a - *b).abs() <= **step).count()
+        };
+        pairs.map(commands).sum::<usize>()
+    };
+    let count = tracked(records).min(COMPARED);
+    let places = 0..=truths.len().saturating_sub(count);
+    let best = places.map(|place| (arrived(place), place)).max();
+    match (best, records.first(), truths.first()) {
+        (Some((most, place)), Some(first), Some(begin)) if 2 * most > count * steps.len() => {
+            (begin.syncs + place as u64).checked_sub(first.tick).ok_or(miette!("more ticks than SYNCs"))
+        }
+        _ => Err(miette!("less than half of the commands reached the drives: the recordings cannot be laid together")),
     }
 }
 

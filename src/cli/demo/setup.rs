@@ -32,6 +32,8 @@ pub(super) struct Setup {
     scenario_argument: String,
     start_tensions: Vec<f64>,
     faults: Vec<String>,
+    /// Faults on the wire: drives need not get every command.
+    pub(super) wire: Vec<String>,
     buses: Vec<String>,
     prefix: String,
     folder: PathBuf,
@@ -87,6 +89,7 @@ impl Setup {
             scenario_argument,
             start_tensions,
             faults: demo.fault.clone(),
+            wire: demo.wire.clone(),
             buses,
             prefix,
             folder,
@@ -123,6 +126,9 @@ impl Setup {
         }
         for fault in &self.faults {
             arguments.extend(strings(&["--fault", fault]));
+        }
+        for fault in &self.wire {
+            arguments.extend(strings(&["--wire", fault]));
         }
         arguments
     }

@@ -1,0 +1,64 @@
+//! Whole frames at a master that brings drives up, and at the decoder of their feedback.
+#![no_main]
+
+use sinew_hal::can::{BusCounters, BusState, CanBus, Filter, Frame, Id, Kind, ReceiveError, Received, SendError};
+use sinew_hal::canopen::NodeId;
+use sinew_hal::cia402::{DriveSetup, Goal, Master, MasterConfig};
+use std::time::Duration;
+
+/// Takes everything, gives nothing.
+struct Void;
+
+impl CanBus for Void {
+    fn send(&mut self, _: &Frame) -> Result<(), SendError> {
+        Ok(())
+    }
+    fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
+        Ok(None)
+    }
+    fn state(&self) -> BusState {
+        BusState::ErrorActive
+    }
+    fn counters(&self) -> BusCounters {
+        BusCounters::default()
+    }
+    fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
+        Ok(())
+    }
+    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
+        Ok(Box::new(Void))
+    }
+}
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    let node = |n| NodeId::new(n).unwrap();
+    let drives = vec![DriveSetup::new(0, node(1)), DriveSetup::new(1, node(2))];
+    let config = MasterConfig::new(drives, node(127), 10_000);
+    let mut master = Master::new(config, vec![Box::new(Void), Box::new(Void)]).unwrap();
+    let mut decoder = master.decoder();
+    master.start(0);
+    let mut now_ns = 0;
+    let mut rest = bytes;
+    // Three bytes of place, time and wish, two of identifier, one of length, the payload.
+    while let [what, i0, i1, len, tail @ ..] = rest {
+        let (data, next) = tail.split_at(usize::from(len % 9).min(tail.len()));
+        let id = u16::from_le_bytes([*i0, *i1]) & 0x7ff;
+        if let Ok(frame) = Frame::new(Id::Standard(id), Kind::Classic, data) {
+            let received = Received { frame, time_ns: now_ns };
+            let bus = usize::from(what & 3);
+            if bus < 2 {
+                master.on_frame(bus, &received, now_ns);
+            }
+            decoder.on_frame(bus, &received);
+        }
+        now_ns += u64::from(what >> 4) * 20_000_000;
+        match what >> 2 & 3 {
+            1 => master.set_goal(Goal::Enabled, now_ns),
+            2 => master.reset_faults(now_ns),
+            _ => {}
+        }
+        let progress = master.poll(now_ns);
+        assert!(progress.ready + progress.starting + progress.failed == progress.drives);
+        rest = next;
+    }
+});
