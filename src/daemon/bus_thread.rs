@@ -30,7 +30,7 @@ const TURN_ALONE: Duration = Duration::from_millis(1);
 const FRAMES_PER_TURN: usize = 128;
 /// Pause between two attempts to bring drives up (ns).
 const RETRY_NS: u64 = 1_000_000_000;
-/// In lockstep: real time without a frame after which what is missing is given up (ns).
+/// In lockstep: real time without a frame after which what is missing is given up (ns), unless told otherwise.
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
@@ -127,8 +127,12 @@ pub(crate) struct BusThread {
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
     mute_cycles: u64,
+    /// Lockstep: silence after which what is missing is given up (ns).
+    answer_timeout_ns: u64,
     shared: Arc<Shared>,
     statistics_ns: u64,
+    /// The loop's time at the last statistics (ns).
+    statistics_loop_ns: u64,
 }
 
 impl BusThread {
@@ -172,9 +176,16 @@ impl BusThread {
             given_up: DriveMask::default(),
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
+            answer_timeout_ns: SILENCE_NS,
             shared,
             statistics_ns: 0,
+            statistics_loop_ns: 0,
         }
+    }
+
+    /// Lockstep: another silence after which what is missing is given up.
+    pub(crate) fn set_answer_timeout(&mut self, timeout: Duration) {
+        self.answer_timeout_ns = timeout.as_nanos() as u64;
     }
 
     /// Lockstep: brings the drives up in real time, then sends the one cycle whose answers are the encoders of tick 0.
@@ -260,7 +271,7 @@ impl BusThread {
         let cycle = match complete {
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
-            None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None if silent_ns > self.answer_timeout_ns && self.published < self.decoder.cycle() => self.decoder.cycle(),
             None => return,
         };
         let tick = cycle.saturating_sub(self.base_cycle);
@@ -478,6 +489,13 @@ impl BusThread {
             return;
         }
         self.statistics_ns = real_ns;
+        // In lockstep the wire's time is the loop's, however long a tick takes to compute; before the first tick that
+        // time stands, and the load is that of the real time that bringing the drives up takes.
+        let loop_ns = self.time.now_ns();
+        let loop_elapsed_ns = loop_ns.saturating_sub(self.statistics_loop_ns);
+        self.statistics_loop_ns = loop_ns;
+        let in_lockstep = self.time.is_lockstep() && loop_elapsed_ns > 0;
+        let elapsed_ns = if in_lockstep { loop_elapsed_ns } else { elapsed_ns };
         let line = |line: &mut Line| {
             let share = std::mem::take(&mut line.busy_s) / (1e-9 * elapsed_ns as f64);
             BusStatus {
