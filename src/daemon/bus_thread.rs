@@ -95,6 +95,8 @@ struct Line {
     bus: Box<dyn CanBus>,
     rates: BitRates,
     busy_s: f64,
+    /// Share of the time in which frames were on the wire, as last measured.
+    load: f64,
     frames: u64,
 }
 
@@ -152,6 +154,7 @@ impl BusThread {
             bus,
             rates: BitRates { nominal: settings.bitrate_bps, data: settings.data_bitrate_bps },
             busy_s: 0.0,
+            load: 0.0,
             frames: 0,
         };
         Self {
@@ -489,17 +492,23 @@ impl BusThread {
             return;
         }
         self.statistics_ns = real_ns;
-        // In lockstep the wire's time is the loop's, however long a tick takes to compute; before the first tick that
-        // time stands, and the load is that of the real time that bringing the drives up takes.
+        // In lockstep the wire's time is the loop's, however long a tick takes to compute, and of that too a measurement
+        // takes so long. Before the first tick it stands, and the load is that of bringing the drives up.
         let loop_ns = self.time.now_ns();
-        let loop_elapsed_ns = loop_ns.saturating_sub(self.statistics_loop_ns);
-        self.statistics_loop_ns = loop_ns;
-        let in_lockstep = self.time.is_lockstep() && loop_elapsed_ns > 0;
-        let elapsed_ns = if in_lockstep { loop_elapsed_ns } else { elapsed_ns };
+        let wire_ns = match self.time.is_lockstep() && loop_ns > 0 {
+            true => loop_ns.saturating_sub(self.statistics_loop_ns),
+            false => elapsed_ns,
+        };
+        let measured = wire_ns >= STATISTICS_NS;
+        if measured {
+            self.statistics_loop_ns = loop_ns;
+        }
         let line = |line: &mut Line| {
-            let share = std::mem::take(&mut line.busy_s) / (1e-9 * elapsed_ns as f64);
+            if measured {
+                line.load = std::mem::take(&mut line.busy_s) / (1e-9 * wire_ns as f64);
+            }
             BusStatus {
-                load_measured: share,
+                load_measured: line.load,
                 state: format!("{:?}", line.bus.state()),
                 frames: line.frames,
                 lost: line.bus.counters().lost,
