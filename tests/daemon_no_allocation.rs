@@ -28,7 +28,7 @@ fn ten_thousand_ticks_of_the_control_thread_allocate_nothing() {
     let place = Place::shipped();
     let _plant = Plant::start(&place, true, &[]);
     let options = Options {
-        lockstep: Some(LockstepOptions { obstacles: vec![SOURCE], target: true, timeout: None }),
+        lockstep: Some(LockstepOptions { obstacles: vec![SOURCE], target: true, ..Default::default() }),
         auto: AutoRequests { arm: true, track: true },
         ticks: Some(TICKS),
         around_tick: Some(around),

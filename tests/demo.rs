@@ -279,3 +279,19 @@ fn an_unknown_scenario_is_refused() {
     assert_eq!(output.status.code(), Some(2));
     assert!(text(&output).contains("built-in scenarios"), "{}", text(&output));
 }
+
+#[test]
+fn interfaces_that_do_not_fit_or_do_not_exist_are_refused_with_the_reason() {
+    let demo = Demo::start(&["tip", "--fast", "--can", "can-none,can-none-2"]);
+    let (output, _folder) = demo.end();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output).contains("--can names 2 interface(s), the configuration has 1 bus(es)"), "{}", text(&output));
+
+    let demo = Demo::start(&["tip", "--fast", "--can", "can-none"]);
+    let (output, _folder) = demo.end();
+    assert_eq!(output.status.code(), Some(2));
+    // The report may break its lines anywhere between words.
+    let said = text(&output).replace(['│', '\n'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("can-none"), "{said}");
+    assert!(said.contains("does not exist") || said.contains("no CAN sockets"), "{said}");
+}

@@ -28,7 +28,8 @@ use std::time::{Duration, Instant};
 const LOOK: Duration = Duration::from_millis(20);
 /// Time granted to start, from the first process to the arm that tracks.
 const START: Duration = Duration::from_secs(60);
-/// Time granted to each step of stopping before harder means.
+/// Time granted to each step of stopping before harder means. Where each is a tick of lockstep, it is arm time, and real
+/// time without a tick: an emulated processor takes a minute for what is half a second of the arm's.
 const STOP: Duration = Duration::from_secs(10);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -64,6 +65,10 @@ pub(crate) struct Demo {
     /// Configuration files with all tables in place of the built-in ones; bus and shared memory stay the demo's own.
     #[arg(long, num_args = 1.., value_name = "FILE")]
     config: Vec<PathBuf>,
+    /// Run over these CAN interfaces of the kernel (vcan0, say), one for each bus of the configuration in its order. No
+    /// drives but the simulated ones may be on them.
+    #[arg(long, value_delimiter = ',', value_name = "INTERFACE,...")]
+    can: Vec<String>,
     /// Keep configuration, recordings and logs in this directory.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
@@ -191,7 +196,7 @@ impl Demo {
             most_n = state.tension_command_n.iter().fold(most_n, |a, u| a.max(*u));
             bar.set_message(line(&state, most_n));
             match origin_ns {
-                None if begin.elapsed() > START => {
+                None if begin.elapsed() > START && (!self.fast || state.time_s > START.as_secs_f64()) => {
                     return Err(miette!(
                         "the arm does not track after {} s: it is {}; logs in {}",
                         START.as_secs(),
@@ -246,13 +251,15 @@ fn stop_arm(client: &mut Client, states: &NewestSubscriber<State>, children: &mu
         tracing::warn!(%error, "stop request");
         return Ok(());
     }
-    let deadline = Instant::now() + STOP;
-    while Instant::now() < deadline {
+    let (mut heard, mut since_s) = (Instant::now(), None);
+    while heard.elapsed() < STOP {
         children.check()?;
         match states.receive().into_diagnostic()? {
             Some(state) if state.supervisor == SupervisorState::Disarmed.wire() => return Ok(()),
             Some(state) if state.fault_code != 0 => return Ok(()),
-            _ => std::thread::sleep(LOOK / 10),
+            Some(state) if state.time_s - *since_s.get_or_insert(state.time_s) > STOP.as_secs_f64() => return Ok(()),
+            Some(_) => heard = Instant::now(),
+            None => std::thread::sleep(LOOK / 10),
         }
     }
     Ok(())

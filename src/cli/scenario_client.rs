@@ -22,8 +22,11 @@ use std::time::{Duration, Instant};
 
 /// How far ahead of time a path's points are sent (s): beyond the planner's lookahead and lead.
 const AHEAD_S: f64 = 0.4;
-/// How often a client that waits for a tick looks.
+/// Shortest and longest nap of a client that waits for a tick.
 const LOOK: Duration = Duration::from_micros(50);
+const LOOK_MAX: Duration = Duration::from_millis(2);
+/// A nap is this part of the wait so far: no tick becomes much longer, and a slow processor is left to who computes.
+const LOOK_PART: u32 = 32;
 /// A daemon that has said nothing for so long is gone.
 const SILENCE: Duration = Duration::from_secs(30);
 
@@ -171,7 +174,7 @@ fn in_lockstep<C: Content>(
             match states.receive().into_diagnostic()? {
                 Some(state) if state.header.tick >= tick => break state,
                 _ if heard.elapsed() > SILENCE => return Ok(Some(capture_ns)),
-                _ => std::thread::sleep(LOOK),
+                _ => std::thread::sleep((heard.elapsed() / LOOK_PART).clamp(LOOK, LOOK_MAX)),
             }
         };
         clock.see(&state);

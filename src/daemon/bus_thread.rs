@@ -30,7 +30,7 @@ const TURN_ALONE: Duration = Duration::from_millis(1);
 const FRAMES_PER_TURN: usize = 128;
 /// Pause between two attempts to bring drives up (ns).
 const RETRY_NS: u64 = 1_000_000_000;
-/// In lockstep: real time without a frame after which what is missing is given up (ns).
+/// In lockstep: real time without a frame after which what is missing is given up (ns), unless told otherwise.
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
@@ -98,6 +98,8 @@ struct Line {
     bus: Box<dyn CanBus>,
     rates: BitRates,
     busy_s: f64,
+    /// Share of the time in which frames were on the wire, as last measured.
+    load: f64,
     frames: u64,
     /// Lockstep: the newest cycle that the plant has said to be over.
     over: u64,
@@ -132,8 +134,12 @@ pub(crate) struct BusThread {
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
     mute_cycles: u64,
+    /// Lockstep: silence after which what is missing is given up (ns).
+    answer_timeout_ns: u64,
     shared: Arc<Shared>,
     statistics_ns: u64,
+    /// The loop's time at the last statistics (ns).
+    statistics_loop_ns: u64,
 }
 
 impl BusThread {
@@ -153,6 +159,7 @@ impl BusThread {
             bus,
             rates: BitRates { nominal: settings.bitrate_bps, data: settings.data_bitrate_bps },
             busy_s: 0.0,
+            load: 0.0,
             frames: 0,
             over: 0,
         };
@@ -178,9 +185,16 @@ impl BusThread {
             given_up: DriveMask::default(),
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
+            answer_timeout_ns: SILENCE_NS,
             shared,
             statistics_ns: 0,
+            statistics_loop_ns: 0,
         }
+    }
+
+    /// Lockstep: another silence after which what is missing is given up.
+    pub(crate) fn set_answer_timeout(&mut self, timeout: Duration) {
+        self.answer_timeout_ns = timeout.as_nanos() as u64;
     }
 
     /// Lockstep: brings the drives up in real time, then sends the one cycle whose answers are the encoders of tick 0.
@@ -268,7 +282,7 @@ impl BusThread {
             Some(cycle) if cycle <= self.published => return,
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
-            None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None if silent_ns > self.answer_timeout_ns && self.published < self.decoder.cycle() => self.decoder.cycle(),
             None => return,
         };
         let tick = cycle.saturating_sub(self.base_cycle);
@@ -506,10 +520,23 @@ impl BusThread {
             return;
         }
         self.statistics_ns = real_ns;
+        // In lockstep the wire's time is the loop's, however long a tick takes to compute, and of that too a measurement
+        // takes so long. Before the first tick it stands, and the load is that of bringing the drives up.
+        let loop_ns = self.time.now_ns();
+        let wire_ns = match self.time.is_lockstep() && loop_ns > 0 {
+            true => loop_ns.saturating_sub(self.statistics_loop_ns),
+            false => elapsed_ns,
+        };
+        let measured = wire_ns >= STATISTICS_NS;
+        if measured {
+            self.statistics_loop_ns = loop_ns;
+        }
         let line = |(bus, line): (usize, &mut Line)| {
-            let share = std::mem::take(&mut line.busy_s) / (1e-9 * elapsed_ns as f64);
+            if measured {
+                line.load = std::mem::take(&mut line.busy_s) / (1e-9 * wire_ns as f64);
+            }
             BusStatus {
-                load_measured: share,
+                load_measured: line.load,
                 state: format!("{:?}", line.bus.state()),
                 frames: line.frames,
                 lost: line.bus.counters().lost,

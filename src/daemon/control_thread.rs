@@ -212,8 +212,12 @@ struct Gate {
 
 /// Rounds of looking again at once before the processor is left to others.
 const SPINS: u32 = 200;
-/// Nap between two looks.
+/// Shortest and longest nap between two looks.
 const NAP: Duration = Duration::from_micros(20);
+const NAP_MAX: Duration = Duration::from_millis(2);
+/// A nap is this part of the wait so far: it makes no tick much longer, and who needs long to compute an answer (an
+/// emulated processor, say) is not kept from it by who waits.
+const NAP_PART: u32 = 32;
 /// Time-out once the stop is asked for (ns): clients may have gone already.
 const STOP_TIMEOUT_NS: u64 = 200_000_000;
 
@@ -236,7 +240,8 @@ impl Gate {
             if looks < SPINS {
                 std::thread::yield_now()
             } else {
-                std::thread::sleep(NAP)
+                let waited = Duration::from_nanos(monotonic_ns().saturating_sub(began_ns));
+                std::thread::sleep((waited / NAP_PART).clamp(NAP, NAP_MAX))
             }
             let stop = progress.stop.load(Ordering::Acquire);
             let timeout_ns = if stop { self.timeout_ns.min(STOP_TIMEOUT_NS) } else { self.timeout_ns };

@@ -12,6 +12,10 @@ use toml::{Table, Value};
 const OBSTACLE_SOURCE: u32 = 1;
 /// Source id of the task client.
 const TASK_SOURCE: u32 = 2;
+/// In lockstep, real time (s) without a frame after which drives that have not answered are given up: longer than the
+/// daemon's own, for an emulated or overloaded processor may be as silent as a dead plant, whose end is seen anyway. It
+/// ends before the daemon's wait for a tick's inputs does (5 s).
+const ANSWER_TIMEOUT_S: f64 = 4.0;
 /// The built-in files that make a whole configuration.
 const FILES: [&str; 4] = ["arm.toml", "controller.toml", "drives.toml", "plant.toml"];
 
@@ -62,7 +66,7 @@ impl Setup {
         let prefix = format!("sinewdemo{process}_");
         let root = temporary.path().join("ipc/");
         let mut tables = tables(&demo.config)?;
-        let buses = isolate(&mut tables, process, &prefix, &root);
+        let buses = isolate(&mut tables, process, &prefix, &root, &demo.can)?;
         adapt(&mut tables, demo, &scenario);
         let file = folder.join("demo.toml");
         std::fs::write(&file, toml::to_string(&tables).into_diagnostic()?).into_diagnostic()?;
@@ -142,6 +146,7 @@ impl Setup {
         if self.fast {
             arguments.extend(strings(&["--lockstep", "--await-target"]));
             arguments.extend(strings(&["--await-obstacles", &OBSTACLE_SOURCE.to_string()]));
+            arguments.extend(strings(&["--answer-timeout", &ANSWER_TIMEOUT_S.to_string()]));
         }
         arguments
     }
@@ -217,11 +222,31 @@ fn tables(files: &[PathBuf]) -> miette::Result<Table> {
     Ok(all)
 }
 
-/// Bus and shared memory of the demo's own; the names of its buses.
-fn isolate(tables: &mut Table, process: u32, prefix: &str, root: &Path) -> Vec<String> {
+/// Shared memory and buses of the demo's own, or the interfaces given; the names of its own buses.
+fn isolate(
+    tables: &mut Table,
+    process: u32,
+    prefix: &str,
+    root: &Path,
+    interfaces: &[String],
+) -> miette::Result<Vec<String>> {
     let mut names = Vec::new();
     let buses = table(tables, "drives").get_mut("buses").and_then(Value::as_array_mut);
-    for (index, bus) in buses.into_iter().flatten().filter_map(Value::as_table_mut).enumerate() {
+    let buses: Vec<&mut Table> = buses.into_iter().flatten().filter_map(Value::as_table_mut).collect();
+    if !interfaces.is_empty() && interfaces.len() != buses.len() {
+        return Err(miette!(
+            help = "name one interface for each bus, or give a --config with as many [[drives.buses]]",
+            "--can names {} interface(s), the configuration has {} bus(es)",
+            interfaces.len(),
+            buses.len()
+        ));
+    }
+    for (index, bus) in buses.into_iter().enumerate() {
+        if let Some(interface) = interfaces.get(index) {
+            bus.insert("kind".into(), "socketcan".into());
+            bus.insert("interface".into(), interface.clone().into());
+            continue;
+        }
         let name = format!("dm{process}-{index}");
         bus.insert("kind".into(), "virtual".into());
         bus.insert("interface".into(), name.clone().into());
@@ -230,7 +255,7 @@ fn isolate(tables: &mut Table, process: u32, prefix: &str, root: &Path) -> Vec<S
     let ipc = table(tables, "ipc");
     ipc.insert("prefix".into(), prefix.into());
     ipc.insert("root_path".into(), root.display().to_string().into());
-    names
+    Ok(names)
 }
 
 /// What the scenario and the command line ask for.
