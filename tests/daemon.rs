@@ -5,7 +5,7 @@
 mod support;
 
 use sinew::ipc::monotonic_ns;
-use sinew::ipc::payload::{Obstacle, Obstacles, RequestKind, State, SupervisorState};
+use sinew::ipc::payload::{Obstacle, Obstacles, RequestKind, SupervisorState};
 use sinew_hal::can::{CanBus, Id};
 use sinew_hal::virtual_bus::VirtualBus;
 use std::collections::BTreeSet;

@@ -16,11 +16,13 @@ use std::time::Duration;
 
 pub const MS: u64 = 1_000_000;
 
+/// Whether the bus does not take a frame with this identifier.
+pub type Refusal = fn(u16) -> bool;
+
 /// A bus in memory: every handle has a queue, a frame goes into all queues but the sender's.
 pub struct MemoryBus {
     queues: Arc<Mutex<Vec<VecDeque<Received>>>>,
-    /// Identifier of a data frame that the bus does not take.
-    refused: Arc<Mutex<Option<fn(u16) -> bool>>>,
+    refused: Arc<Mutex<Option<Refusal>>>,
     me: usize,
 }
 
@@ -169,7 +171,7 @@ impl Bench {
     }
 
     /// From now on the master's side of the bus does not take data frames with these identifiers.
-    pub fn refuse(&mut self, bus: usize, which: Option<fn(u16) -> bool>) {
+    pub fn refuse(&mut self, bus: usize, which: Option<Refusal>) {
         *self.banks[bus].0.refused.lock().unwrap() = which;
     }
 }
