@@ -6,6 +6,7 @@ mod rig;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rig::*;
+use sinew::config::FrictionConfig;
 use sinew::control::*;
 use sinew::planner::{Branch, Planner, Status};
 
@@ -288,6 +289,69 @@ fn lead_removes_the_lag_of_the_rate_weights() {
     // Without lead the tip lags by about 0.2 s of 30 mm/s.
     assert!((0.004..0.008).contains(&without), "without: {without}");
     assert!(with < 0.25 * without, "with: {with}, without: {without}");
+}
+
+#[test]
+fn a_targets_weight_stands_in_place_of_the_configured_one() {
+    // The rate of approach of a shape goes with its weight against the one on changes of tensions.
+    let bent_after = |weight: f64| {
+        let mut rig = Rig::real(&settings(), 3);
+        rig.arm();
+        rig.target = Some(TargetInput { weight, ..shape([0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) });
+        rig.ask(Request::Track);
+        rig.run(100);
+        rig.cycle.record_mut().curvature_1pm[1]
+    };
+    let configured = settings().weights.shape.curvature;
+    let (none, same, light) = (bent_after(0.0), bent_after(configured), bent_after(1e-3 * configured));
+    assert_eq!(none, same);
+    assert!(none > 0.01 && light < 0.5 * none, "{light} with a thousandth, {none}");
+
+    let mut rig = Rig::real(&settings(), 3);
+    rig.arm();
+    rig.target = Some(TargetInput { weight: -1.0, ..shape([0.0; 8]) });
+    rig.step(None);
+    assert_eq!(rig.fault(), Some(Fault::TargetNotFinite), "no door but the intake's may let it through");
+}
+
+#[test]
+fn friction_is_added_to_the_command_and_the_motion_stays_the_planned_one() {
+    let run = |coefficient: f64| {
+        let mut s = settings();
+        s.friction = FrictionConfig { coefficient, ..FrictionConfig::NONE };
+        let mut rig = Rig::real(&s, 3);
+        rig.arm();
+        let z = rig.cycle.record_mut().tip_position_m[2] + 0.05;
+        rig.target = Some(tip([0.1, 0.0, z], [0.0; 3]));
+        rig.ask(Request::Track);
+        rig.run(400);
+        let mut path = Vec::new();
+        for k in 0..200 {
+            rig.target = Some(tip([0.1 + 0.03 * PERIOD_S * f64::from(k), 0.0, z], [0.03, 0.0, 0.0]));
+            rig.step(None);
+            path.push(rig.cycle.record_mut().tip_position_m);
+        }
+        let (low, high) = (s.arm.tension_n_min, s.arm.tension_n_max);
+        assert!(rig.cycle.tensions_n().iter().all(|u| (low..=high).contains(u)));
+        let told = rig.cycle.record_mut().tension_command_n;
+        assert_eq!(told[..24], *rig.cycle.tensions_n(), "the record has what the drums are told");
+        (path, rig.cycle.tensions_n().to_vec(), rig)
+    };
+    let (planned, effective, _) = run(0.0);
+    let (path, commanded, mut rig) = run(0.1);
+    let apart =
+        planned.iter().zip(&path).flat_map(|(a, b)| (0..3).map(move |i| (a[i] - b[i]).abs())).fold(0.0, f64::max);
+    // Not bit for bit: dividing and multiplying rounds, and an arm lifted out of the straight line makes more of it.
+    assert!(apart < 2e-4, "{apart} m");
+    let ratios = || commanded.iter().zip(&effective).filter(|(_, u)| **u > 5.0).map(|(c, u)| c / u);
+    // Pulled in and paying out, by no more than the capstan takes over the whole bend.
+    assert!(ratios().all(|r| (0.9..1.1).contains(&r)), "{:?}", ratios().collect::<Vec<_>>());
+    assert!(ratios().any(|r| r > 1.002) && ratios().any(|r| r < 0.998), "{:?}", ratios().collect::<Vec<_>>());
+    // A stop is a matter of the safe tension itself: nothing is added to it.
+    rig.ask(Request::Stop);
+    rig.run(300);
+    assert_eq!(rig.cycle.mode(), Mode::Disarmed);
+    assert!(rig.cycle.tensions_n().iter().all(|u| *u == 0.0));
 }
 
 #[test]
