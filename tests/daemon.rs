@@ -30,24 +30,27 @@ fn requests_move_the_arm_through_its_modes_and_an_ordered_stop_leaves_nothing() 
     assert_eq!(code, Some(1));
     assert!(said.contains("perception client"), "no publisher is not an empty set: {said}");
 
-    let mut injecting = place.sinew(&["obstacles", "inject", "--ball", "0.5,0.5,-1,0.1"]).spawn().unwrap();
+    let injecting = Running(place.sinew(&["obstacles", "inject", "--ball", "0.5,0.5,-1,0.1"]).spawn().unwrap());
     place.until("a source", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
-    assert_eq!(place.operate(&["track"]).0, Some(0));
+    let accepted = |request: &str| {
+        let (code, said) = place.operate(&[request]);
+        assert_eq!(code, Some(0), "{request}: {said}\n{:#?}", place.status());
+    };
+    accepted("track");
     place.until("tracking", |s| s.mode == "tracking");
     let (_, listed) = place.operate(&["obstacles", "list", "--json"]);
     assert!(listed.contains("surface_distance_m"), "{listed}");
-    assert_eq!(place.operate(&["home"]).0, Some(0));
+    accepted("home");
     place.until("home", |s| s.mode == "holding");
     assert_eq!(place.operate(&["clear"]).0, Some(1), "nothing is latched");
 
     // Killed, the client is missed: the arm holds, and may not track again.
-    assert_eq!(place.operate(&["track"]).0, Some(0));
-    injecting.kill().unwrap();
-    injecting.wait().unwrap();
+    accepted("track");
+    drop(injecting);
     place.until("the declared action", |s| s.mode == "holding" && s.obstacles.iter().any(|o| o.health == "expired"));
     assert_eq!(place.operate(&["track"]).0, Some(1));
 
-    assert_eq!(place.operate(&["stop"]).0, Some(0));
+    accepted("stop");
     place.until("disarmed", |s| s.mode == "disarmed" && s.drives.enabled == 0);
     assert_eq!(place.operate(&["disarm"]).0, Some(0), "already so");
     let (status, said) = daemon.terminate();

@@ -41,7 +41,8 @@ fn rights_that_are_missing_are_said_once_with_their_remedy_and_the_loop_runs_on(
     assert_eq!(control.scheduling, "normal");
     let (_, said) = place.operate(&["status"]);
     assert!(said.contains("degraded: real-time priority refused"), "{said}");
-    rustix::process::kill_process(rustix::process::Pid::from_child(&daemon.child), rustix::process::Signal::TERM).unwrap();
+    rustix::process::kill_process(rustix::process::Pid::from_child(&daemon.child), rustix::process::Signal::TERM)
+        .unwrap();
     let (status, said) = daemon.finish();
     assert_eq!(status.code(), Some(0), "{said}");
     for once in ["locked memory refused", "real-time priority refused", "LimitMEMLOCK=infinity", "LimitRTPRIO=80"] {

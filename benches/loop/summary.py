@@ -7,6 +7,8 @@ from pathlib import Path
 out, rates = Path(sys.argv[1]), [int(r) for r in sys.argv[2:]]
 #: Share of deadlines that may be missed.
 PERMITTED = {1000: 1e-3}
+#: Largest tip error (mm) of an arm that tracks all the time; one that held meanwhile, for clients that were late, is far off.
+TIP_MM_MAX = 17.0
 STAGES = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle"]
 
 
@@ -89,6 +91,8 @@ for rate in rates:
             s = stages[stage]
             late = status["missed"] if (branch, stage) == ("warning", "wakeup") else ""
             lines += [f"| {branch}: {stage} | {s['count']} | {s['p50']:.1f} | {s['p99']:.1f} | {s['p999']:.1f} | {s['max']:.1f} | {late} |"]
+    if 1e3 * error["norm_max"] > TIP_MM_MAX or run["loop"] is None:
+        failed.append(f"{rate} Hz: the tip did not follow: {1e3 * error['norm_max']:.1f} mm at most")
     if share > PERMITTED.get(rate, 0.0):
         failed.append(f"{rate} Hz: {100 * share:.4f} % of the deadlines missed, permitted {100 * PERMITTED.get(rate, 0.0):g} %")
 

@@ -121,7 +121,7 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Ser
     };
     let server = Server::open(&config, &plant, rig, schedule, trace)
         .into_diagnostic()?
-        .with_wire_faults(arguments.wire.clone(), plant.seed);
+        .with_wire_faults(arguments.wire.clone(), plant.truth.seed);
     let socketcand = match arguments.socketcand {
         Some(port) => {
             let bus = server.bus_handle().into_diagnostic()?;

@@ -112,7 +112,15 @@ impl Place {
     }
 
     pub fn status(&self) -> Option<StatusReport> {
-        ask(&sinew::daemon::domain_name(&self.domain), "paper").unwrap()
+        let deadline = Instant::now() + WAIT;
+        loop {
+            match ask(&sinew::daemon::domain_name(&self.domain), "paper") {
+                Ok(report) => return report,
+                // The main thread has no priority: on a busy machine its answer may take longer than `ask` waits.
+                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock && Instant::now() < deadline => {}
+                Err(error) => panic!("status: {error}"),
+            }
+        }
     }
 
     /// Waits until the status meets a condition.
