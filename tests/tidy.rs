@@ -262,3 +262,32 @@ fn the_registry_is_in_order() {
         });
     }
 }
+
+/// Names of the tests in a file: the function after each `#[test]`.
+fn tests_in(file: &str) -> BTreeSet<String> {
+    let text = fs::read_to_string(root().join(file)).unwrap();
+    let name = |rest: &str| {
+        let start = rest.find("fn ").unwrap() + 3;
+        rest[start..].split('(').next().unwrap().to_owned()
+    };
+    text.split("#[test]\n").skip(1).map(name).collect()
+}
+
+#[test]
+fn every_row_of_the_wire_faults_is_a_test_and_every_such_test_a_row() {
+    let table = fs::read_to_string(root().join("hal/FAULTS.md")).unwrap();
+    let mut named = [BTreeSet::new(), BTreeSet::new()];
+    for line in table.lines().filter(|line| line.starts_with('|') && !line.starts_with("|---")) {
+        let last = line.trim_end_matches('|').rsplit('|').next().unwrap().trim();
+        let name = |kind: &str| last.strip_prefix(kind).and_then(|n| n.strip_suffix('`')).map(str::to_owned);
+        match (name("T `"), name("M `")) {
+            (Some(test), _) => assert!(named[0].insert(test), "twice: {line}"),
+            (_, Some(test)) => assert!(named[1].insert(test), "twice: {line}"),
+            // The head of a table, and the measured figures.
+            _ => assert!(["test", "with 1 % lost"].contains(&last) || last.contains(" / "), "no test: {line}"),
+        }
+    }
+    assert!(named[0].len() > 30 && named[1].len() > 10);
+    assert_eq!(named[0], tests_in("tests/wire_faults.rs"));
+    assert_eq!(named[1], tests_in("sim_plant/tests/wire_faults.rs"));
+}

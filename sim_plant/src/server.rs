@@ -194,7 +194,15 @@ impl Server {
             if plant.pace == Pace::Lockstep {
                 bus.watch(Id::Standard(SYNC));
             }
-            wires.push(Wire { bus, bank: DriveBank::new(drives), cables, outbox, synced: None, late_syncs: 0, over: false });
+            wires.push(Wire {
+                bus,
+                bank: DriveBank::new(drives),
+                cables,
+                outbox,
+                synced: None,
+                late_syncs: 0,
+                over: false,
+            });
         }
         let cables = places.len();
         Ok(Self {

@@ -253,8 +253,21 @@ mod tests {
     #[test]
     fn a_fault_that_makes_no_sense_is_refused_with_an_example() {
         for text in [
-            "", "lose", "drop:", "drop:pdo", "drop:sync.3", "drop:tpdo.0", "drop:tpdo.128", "drop=2", "drop=nan",
-            "drop@4-4", "drop@5-4", "drop@x", "delay0", "delayx", "drop@-1",
+            "",
+            "lose",
+            "drop:",
+            "drop:pdo",
+            "drop:sync.3",
+            "drop:tpdo.0",
+            "drop:tpdo.128",
+            "drop=2",
+            "drop=nan",
+            "drop@4-4",
+            "drop@5-4",
+            "drop@x",
+            "delay0",
+            "delayx",
+            "drop@-1",
         ] {
             let refusal = text.parse::<WireFault>().unwrap_err();
             assert!(refusal.contains("delay2:tpdo.5@4-4.5"), "{text}: {refusal}");

@@ -32,6 +32,8 @@ const FRAMES_PER_TURN: usize = 128;
 const RETRY_NS: u64 = 1_000_000_000;
 /// In lockstep: real time without a frame after which what is missing is given up (ns), unless told otherwise.
 const SILENCE_NS: u64 = 1_000_000_000;
+/// The same with a plant that says when a period is over: its silence means that it has no processor, or is dead.
+const SILENCE_OF_A_PLANT_NS: u64 = 5_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
 /// Time that drives are given for their answers to a SYNC at any period (ns): two dozen frames on a shared bus take a good
@@ -277,12 +279,14 @@ impl BusThread {
     /// Lockstep: everything happens with the last answer to a SYNC, so that a run does not depend on when this thread
     /// was scheduled; the state is there before the encoders that release the tick.
     fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
+        let marks = self.lines.iter().any(|line| line.over > 0);
+        let patience_ns = if marks { self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS) } else { self.answer_timeout_ns };
         let cycle = match complete {
             // A late answer can complete a cycle that was given up: its tick has been.
             Some(cycle) if cycle <= self.published => return,
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
-            None if silent_ns > self.answer_timeout_ns && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None if silent_ns > patience_ns && self.published < self.decoder.cycle() => self.decoder.cycle(),
             None => return,
         };
         let tick = cycle.saturating_sub(self.base_cycle);
