@@ -240,17 +240,19 @@ fn filters_are_the_kernels_so_what_they_keep_out_fills_no_buffer() {
 #[test]
 fn frames_that_waited_carry_the_kernels_time_of_each_arrival() {
     let Some(interface) = Interface::make("sinew-tim") else { return };
-    let (mut a, mut b) = (interface.bus(), interface.bus());
-    let mut sent_ns = Vec::new();
+    // The wall clock of the stamps and the monotonic one may run apart a little.
+    const SLACK_NS: u64 = 1_000_000;
+    let (mut a, mut b, mut witness) = (interface.bus(), interface.bus(), interface.bus());
+    let mut between_ns = Vec::new();
     for i in 0..3 {
         let before_ns = monotonic_ns();
         a.send(&frame(i, &[])).unwrap();
-        sent_ns.push((before_ns, monotonic_ns()));
+        // Then it has been everywhere.
+        assert_eq!(witness.receive(WAIT).unwrap().unwrap().frame, frame(i, &[]));
+        between_ns.push((before_ns, monotonic_ns()));
         std::thread::sleep(QUIET);
     }
-    // The wall clock of the stamps and the monotonic one may run apart a little.
-    const SLACK_NS: u64 = 1_000_000;
-    for (before_ns, after_ns) in sent_ns {
+    for (before_ns, after_ns) in between_ns {
         let time_ns = b.receive(WAIT).unwrap().unwrap().time_ns;
         assert!(time_ns + SLACK_NS >= before_ns && time_ns <= after_ns + SLACK_NS, "{before_ns} {time_ns} {after_ns}");
     }

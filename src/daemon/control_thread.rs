@@ -218,7 +218,7 @@ const NAP_MAX: Duration = Duration::from_millis(2);
 /// A nap is this part of the wait so far: it makes no tick much longer, and who needs long to compute an answer (an
 /// emulated processor, say) is not kept from it by who waits.
 const NAP_PART: u32 = 32;
-/// Time-out once the stop is asked for (ns): clients may have gone already.
+/// Clients' time-out once the stop is asked for (ns): they may have gone already. The drives are still needed.
 const STOP_TIMEOUT_NS: u64 = 200_000_000;
 
 impl Gate {
@@ -243,18 +243,20 @@ impl Gate {
                 let waited = Duration::from_nanos(monotonic_ns().saturating_sub(began_ns));
                 std::thread::sleep((waited / NAP_PART).clamp(NAP, NAP_MAX))
             }
-            let stop = progress.stop.load(Ordering::Acquire);
-            let timeout_ns = if stop { self.timeout_ns.min(STOP_TIMEOUT_NS) } else { self.timeout_ns };
-            if monotonic_ns().saturating_sub(began_ns) > timeout_ns {
-                self.give_up(inputs, tick);
+            let waited_ns = monotonic_ns().saturating_sub(began_ns);
+            if progress.stop.load(Ordering::Acquire) && waited_ns > STOP_TIMEOUT_NS {
+                self.give_up_clients(inputs, tick);
+            }
+            if waited_ns > self.timeout_ns {
+                self.give_up_clients(inputs, tick);
+                self.waiting_for.encoders &= inputs.encoders().is_ready_for(tick);
             }
             inputs.update();
         }
     }
 
-    /// No longer waits for those who have not delivered.
-    fn give_up(&mut self, inputs: &ControlInputs, tick: u64) {
-        self.waiting_for.encoders &= inputs.encoders().is_ready_for(tick);
+    /// No longer waits for clients that have not delivered.
+    fn give_up_clients(&mut self, inputs: &ControlInputs, tick: u64) {
         self.waiting_for.target &= inputs.target().is_ready_for(tick);
         self.waiting_for.obstacles.retain(|id| inputs.obstacles().is_ready_for(tick, &[*id]));
     }

@@ -37,6 +37,18 @@ class DriveTest(unittest.TestCase):
         self.node.nmt.state = "RESET"
         self.assertTrue(until(lambda: 0 in boots, 5))
 
+    def periodic(self, cob_id, data, period):
+        """Sends cyclically until the function returned is called, or the test ends: the kernel refuses a second stop."""
+        task, running = self.network.send_periodic(cob_id, data, period), [True]
+
+        def stop():
+            if running:
+                running.clear()
+                task.stop()
+
+        self.addCleanup(stop)
+        return stop
+
     def aborts(self, code, function):
         with self.assertRaises(SdoAbortedError) as caught:
             function()
@@ -232,15 +244,14 @@ class DriveTest(unittest.TestCase):
         rpdo, _ = self.enable_by_pdo()
         self.node.sdo[0x1029][1].raw = 1
         self.node.sdo[0x1016][1].raw = MASTER << 16 | 200
-        beat = self.network.send_periodic(0x700 + MASTER, [5], 0.05)
-        self.addCleanup(beat.stop)
+        beat = self.periodic(0x700 + MASTER, [5], 0.05)
         rpdo[0x6071].raw = 400
         rpdo.transmit()
         self.network.sync.transmit()
         time.sleep(0.5)
         self.assertEqual((self.drive_state(), self.node.sdo[0x6074].raw), ("OPERATION ENABLED", 400))
         self.assertEqual(self.node.emcy.log, [])
-        beat.stop()
+        beat()
         self.assertTrue(until(lambda: [e.code for e in self.node.emcy.log] == [0x8130]), self.node.emcy.log)
         self.assertTrue(until(lambda: (self.drive_state(), self.node.sdo[0x6074].raw) == ("FAULT", 0)))
         self.assertEqual(self.node.sdo[0x1001].raw & 0x11, 0x11)
@@ -248,8 +259,7 @@ class DriveTest(unittest.TestCase):
         # Latched: neither enabling nor a reset with the cause still there lead out of it.
         for word in (0x06, 0x0F, 0x00, 0x80):
             self.assertEqual(self.command(word), "FAULT")
-        beat = self.network.send_periodic(0x700 + MASTER, [5], 0.05)
-        self.addCleanup(beat.stop)
+        beat = self.periodic(0x700 + MASTER, [5], 0.05)
         time.sleep(0.1)
         self.assertEqual(self.command(0x00), "FAULT")
         self.assertEqual(self.command(0x80), "SWITCH ON DISABLED")
@@ -266,12 +276,11 @@ class DriveTest(unittest.TestCase):
         rpdo.transmit()
         self.network.sync.transmit()
         self.assertTrue(until(lambda: self.node.sdo[0x6074].raw == 400))
-        sync = self.network.send_periodic(0x80, [], 0.02)
-        self.addCleanup(sync.stop)
+        sync = self.periodic(0x80, [], 0.02)
         self.node.sdo[0x2000][1].raw = 300_000
         time.sleep(0.6)
         self.assertEqual(self.drive_state(), "OPERATION ENABLED")
-        sync.stop()
+        sync()
         self.assertTrue(until(lambda: (self.drive_state(), self.node.sdo[0x6074].raw) == ("FAULT", 0)))
         self.assertEqual(self.node.emcy.log[-1].code, 0x81FF)
 
