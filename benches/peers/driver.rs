@@ -2,7 +2,7 @@
 //!
 //! Enters: JSON objects on standard input, one per line, each with `what`. Leaves: one JSON object per line. It speaks
 //! through the library's public interface only, and times nothing but the call that a request is about; the Python side
-//! asks for small portions, so that both sides' measurements alternate in time.
+//! asks for small portions, so that both sides' measurements alternate in time. Times are the thread's processor time.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a bench may panic and print
 
 mod plant;
@@ -37,4 +37,10 @@ fn number(request: &Value, key: &str) -> f64 {
 /// A count of a request.
 fn count(request: &Value, key: &str) -> usize {
     request[key].as_u64().unwrap_or_else(|| panic!("`{key}` is missing")) as usize
+}
+
+/// Processor time of this thread (s): what others do on the machine counts less than in wall time.
+fn cpu_seconds() -> f64 {
+    let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    t.tv_sec as f64 + t.tv_nsec as f64 * 1e-9
 }

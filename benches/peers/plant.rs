@@ -4,12 +4,14 @@
 //! cables' guidance (in the limit the cables follow the curve); the 20 disks keep their mass and place, their rotary
 //! inertia is spread over the element before them. With `refinement` 1 this is the arm of the configuration itself.
 
-use crate::{count, number};
+use crate::{count, cpu_seconds, number};
 use serde_json::{Value, json};
 use sinew::config::ArmConfig;
 use sinew::integrator::{Scheme, Stepper};
 use sinew::model::{Arm, State};
-use std::time::Instant;
+
+/// Most Newton iterations of a step.
+const ITERATIONS_MAX: usize = 12;
 
 fn arm(refinement: usize) -> Arm {
     let coarse = ArmConfig::paper();
@@ -25,8 +27,7 @@ fn arm(refinement: usize) -> Arm {
             let backbone = seg.backbone_mass_kgpm * l * if node == last { 0.5 } else { 1.0 };
             let disk = if (i + 1) % refinement == 0 { whole.disk_mass_kg } else { 0.0 };
             let spread = whole.disk_mass_kg / refinement as f64;
-            let (r2, h2, b2) =
-                (seg.disk_radius_m.powi(2), seg.disk_thickness_m.powi(2), seg.backbone_radius_m.powi(2));
+            let (r2, h2, b2) = (seg.disk_radius_m.powi(2), seg.disk_thickness_m.powi(2), seg.backbone_radius_m.powi(2));
             let transverse = spread * (r2 / 4.0 + h2 / 12.0) + backbone * (b2 / 4.0 + l * l / 12.0);
             arm.nodes[node].mass = disk + backbone;
             arm.nodes[node].inertia = [spread * r2 / 2.0 + backbone * b2 / 2.0, transverse, transverse].into();
@@ -68,7 +69,7 @@ pub fn arm_data(request: &Value) -> Value {
 /// Integrates from the straight arm at rest and returns the tip at the samples, with the time that the steps took.
 pub fn run(request: &Value) -> Value {
     let (step_s, duration_s) = (number(request, "step"), number(request, "duration"));
-    let (scheme, tolerance) = (Scheme::new(number(request, "rho_inf")), number(request, "tolerance"));
+    let scheme = Scheme::new(number(request, "rho_inf"));
     let sample = (number(request, "sample") / step_s).round() as usize;
     let arm = arm(count(request, "refinement"));
     let angles: Vec<f64> = (0..arm.cable_count())
@@ -81,18 +82,19 @@ pub fn run(request: &Value) -> Value {
     let steps = (duration_s / step_s).round() as usize;
     let mut tip = Vec::with_capacity(steps / sample);
     let (mut iterations, mut failed) = (0, Value::Null);
-    let begin = Instant::now();
+    let begin = cpu_seconds();
     for k in 1..=steps {
         let t = k as f64 * step_s;
         for (c, u) in u.iter_mut().enumerate() {
             *u = tension(arm.cable_segment[c], angles[c], t);
         }
-        match crate::plant::step(&mut stepper, &arm, &scheme, step_s, &state, &u, tolerance, &mut next) {
-            Ok(n) => iterations += n,
-            Err(e) => {
-                failed = json!(format!("{e} at {t:.3} s"));
-                break;
-            }
+        match stepper.step(&arm, &scheme, step_s, &state, &u, ITERATIONS_MAX, &mut next) {
+            Ok(report) if report.converged => iterations += report.iterations,
+            Ok(_) => failed = json!(format!("no convergence at {t:.3} s")),
+            Err(e) => failed = json!(format!("{e} at {t:.3} s")),
+        }
+        if !failed.is_null() {
+            break;
         }
         std::mem::swap(&mut state, &mut next);
         if k % sample == 0 {
@@ -100,22 +102,6 @@ pub fn run(request: &Value) -> Value {
             tip.push([r[0], r[1], r[2]]);
         }
     }
-    let seconds = begin.elapsed().as_secs_f64();
+    let seconds = cpu_seconds() - begin;
     json!({ "tip": tip, "seconds": seconds, "steps": steps, "iterations": iterations, "failed": failed })
-}
-
-/// One step; the Newton tolerance is the library's own where the request names none (0).
-fn step(
-    stepper: &mut Stepper,
-    arm: &Arm,
-    scheme: &Scheme,
-    eta: f64,
-    previous: &State,
-    u: &[f64],
-    tolerance: f64,
-    next: &mut State,
-) -> Result<usize, String> {
-    assert!(tolerance == 0.0, "the library's stepper has one tolerance");
-    let report = stepper.step(arm, scheme, eta, previous, u, 12, next).map_err(|e| e.to_string())?;
-    if report.converged { Ok(report.iterations) } else { Err("no convergence".to_owned()) }
 }

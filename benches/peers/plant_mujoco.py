@@ -86,7 +86,7 @@ class Plant:
         self.data = mujoco.MjData(self.model)
 
     def run(self, integrator, step_s, duration_s=trace.DURATION_S, sample_s=trace.SAMPLE_S):
-        """Tip at the samples, wall time of the steps alone (s)."""
+        """Tip at the samples, processor time of the steps alone (s)."""
         m, d = self.model, self.data
         m.opt.integrator = INTEGRATORS[integrator]
         m.opt.timestep = step_s
@@ -99,9 +99,9 @@ class Plant:
         control = trace.tensions(self.arm, (np.arange(steps) + 0.5) * step_s)
         sensor = np.zeros((1, steps, m.nsensordata))
         states = np.zeros((1, steps, state.size))
-        begin = time.perf_counter()
+        begin = time.thread_time()
         rollout.rollout(m, d, state[None], control[None], state=states, sensordata=sensor)
-        seconds = (time.perf_counter() - begin) * (steps - 1) / steps
+        seconds = (time.thread_time() - begin) * (steps - 1) / steps
         each = round(sample_s / step_s)
         tip = sensor[0, each::each, :3]
         if not np.isfinite(tip).all() or d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:

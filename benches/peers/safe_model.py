@@ -58,38 +58,52 @@ def relative(p, q):
     return ca.vertcat(w * b - x * a - y * d + z * c, w * c - y * a - z * b + x * d, w * d - z * a - x * c + y * b)
 
 
-class Step:
-    """One case of the reference data, for the arm as sinew's driver tells it."""
+class Problem:
+    """The problem of one scenario (`shape` or `tip`): parametric in the state, so that it is built and compiled once."""
 
-    def __init__(self, arm, case, rho=0.8):
-        self.arm, self.case = arm, case
-        eta = case["eta"]
-        alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
-        gamma = 0.5 + alpha_f - alpha_m
-        phi = 0.25 * (gamma + 0.5) ** 2
-        self.cg, self.cb = gamma / (eta * phi), (1 - alpha_m) / (eta**2 * phi * (1 - alpha_f))
-        q0, v0, a0, b0 = (np.array(case[k]) for k in ("q0", "v0", "a0", "vd0"))
-        a1 = (alpha_f * b0 - alpha_m * a0) / (1 - alpha_m)
-        self.q = q0 + eta * v0 + eta**2 * ((0.5 - phi) * a0 + phi * a1)
-        self.v = v0 + eta * ((1 - gamma) * a0 + gamma * a1)
-        self.u_previous = np.array(case["u_prev"])
-        self.lam = np.array(case["lam0"])
+    def __init__(self, arm, shape, eta=0.1, rho=0.8):
+        self.arm, self.shape, self.eta = arm, shape, eta
+        self.alpha_m, self.alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+        self.gamma = 0.5 + self.alpha_f - self.alpha_m
+        self.phi = 0.25 * (self.gamma + 0.5) ** 2
+        self.cg = self.gamma / (eta * self.phi)
+        self.cb = (1 - self.alpha_m) / (eta**2 * self.phi * (1 - self.alpha_f))
         e = arm["elements"][0]
         self.scale = max(n["mass"] for n in arm["nodes"]) * self.cb + e["stiffness"][1] / e["length"] ** 3 * (
             1 + e["damping"] * self.cg
         )
-        shape = case["scenario"] == "shape"
         segment = np.array([c["segment"] for c in arm["cables"]])
         self.change = np.full(24, 2e6) if shape else 1e4 * (segment + 1.0)
-        self.shape_weight = -9.99e5 * (case["t"] - 100) ** 2 + 1e10
-        self.position = None if shape else tip_target(case["t"])
         self.build()
+
+    def instance(self, case):
+        """Parameters, start (the predictor with the last tensions and multipliers) and cost scale of a case."""
+        eta, alpha_m, alpha_f, gamma, phi = self.eta, self.alpha_m, self.alpha_f, self.gamma, self.phi
+        assert case["eta"] == eta
+        q0, v0, a0, b0 = (np.array(case[k]) for k in ("q0", "v0", "a0", "vd0"))
+        a1 = (alpha_f * b0 - alpha_m * a0) / (1 - alpha_m)
+        q = q0 + eta * v0 + eta**2 * ((0.5 - phi) * a0 + phi * a1)
+        v = v0 + eta * ((1 - gamma) * a0 + gamma * a1)
+        u = np.array(case["u_prev"])
+        if self.shape:
+            goal = np.concatenate((SHAPE, [np.sqrt(-9.99e5 * (case["t"] - 100) ** 2 + 1e10)]))
+        else:
+            h = np.sqrt(0.5)
+            wanted = np.array([h, 0, h, 0])
+            goal = np.concatenate((tip_target(case["t"]), wanted * np.sign(wanted @ q[-4:])))
+        x0 = np.concatenate((np.zeros(140), np.array(case["lam0"]) / self.scale, u))
+        p = np.concatenate((q, v, u, goal, [1.0]))
+        # The objective in units of its value at the start: of order one, whatever the weights.
+        p[-1] = 1.0 / float(self.cost_function(x0, p))
+        return p, x0
 
     def build(self):
         arm = self.arm
         n, nc = len(arm["nodes"]), len(arm["cables"])
         dq, mu, u = ca.SX.sym("dq", 7 * n), ca.SX.sym("mu", 4 * n), ca.SX.sym("u", nc)
-        q, v, a = self.q + dq, self.v + self.cg * dq, self.cb * dq
+        q_start, v_start, u_previous = ca.SX.sym("q", 7 * n), ca.SX.sym("v", 7 * n), ca.SX.sym("u_previous", nc)
+        goal, unit = ca.SX.sym("goal", 9 if self.shape else 7), ca.SX.sym("unit")
+        q, v, a = q_start + dq, v_start + self.cg * dq, self.cb * dq
         base = ca.DM([0, 0, 0] + arm["base_quaternion"])
         pose = [ca.SX(base)] + [q[7 * i : 7 * i + 7] for i in range(n)]
         rate = [ca.SX.zeros(7)] + [v[7 * i : 7 * i + 7] for i in range(n)]
@@ -137,21 +151,17 @@ class Step:
             Ld = left_rate(pd)
             f[3:] += 4 * L.T @ (J @ (L @ pdd)) + 8 * Ld.T @ (J @ (L @ pd)) + 2 * lam[4 * i + 3] * p
             residual += [f, self.scale * psi[i][0], self.scale * psi[i][1]]
-        cost = ca.dot(u, u) + ca.dot(self.change * (u - self.u_previous), u - self.u_previous)
+        cost = ca.dot(u, u) + ca.dot(self.change * (u - u_previous), u - u_previous)
         # Outputs as a weighted vector: also what a least-squares solver needs.
-        if self.position is None:
+        if self.shape:
             mean = lambda d: ca.vertcat(*[sum(d[s]) / len(d[s]) for s in range(4)])
-            outputs = np.sqrt(self.shape_weight) * ca.vertcat(mean(curvature) - SHAPE, mean(curvature_rate))
+            outputs = goal[8] * ca.vertcat(mean(curvature) - goal[:8], mean(curvature_rate))
         else:
-            h = np.sqrt(0.5)
-            wanted = np.array([h, 0, h, 0])
-            wanted *= np.sign(wanted @ self.q[-4:])
-            tip = q[-7:] - ca.DM(np.concatenate((self.position, wanted)))
-            outputs = ca.vertcat(np.sqrt(5e12) * tip, np.sqrt(5e10) * v[-7:], np.sqrt(1e8) * v[:-7])
+            outputs = ca.vertcat(np.sqrt(5e12) * (q[-7:] - goal), np.sqrt(5e10) * v[-7:], np.sqrt(1e8) * v[:-7])
         cost += ca.dot(outputs, outputs)
-        self.x = ca.vertcat(dq, mu, u)
-        self.cost, self.outputs, self.residual = cost, outputs, ca.vertcat(*residual)
-        self.x0 = np.concatenate((np.zeros(7 * n), self.lam / self.scale, self.u_previous))
+        self.x, self.p = ca.vertcat(dq, mu, u), ca.vertcat(q_start, v_start, u_previous, goal, unit)
+        self.residual, self.outputs, self.scaled_cost = ca.vertcat(*residual), outputs, unit * cost
+        self.cost_function = ca.Function("cost", [self.x, self.p], [cost])
         inf = np.inf
         self.lower = np.concatenate((np.full(11 * n, -inf), np.zeros(nc)))
         self.upper = np.concatenate((np.full(11 * n, inf), np.full(nc, TENSION_MAX)))

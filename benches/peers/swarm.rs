@@ -1,8 +1,8 @@
 //! The swarm of the warning subspace on one problem: the reduced quadratic cost of a planning step near an obstacle, and
 //! the penalty (27) on the distances of its linearised body points.
 
-use crate::count;
 use crate::safe::{self, Case};
+use crate::{count, cpu_seconds};
 use nalgebra::{Matrix3x4, Vector3};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -14,7 +14,6 @@ use sinew::math::quaternion::rotation_jacobians;
 use sinew::model::{Arm, Motion, State};
 use sinew::planner::Quadratic;
 use sinew::planner::swarm::{Pairs, Swarm, Variant};
-use std::time::Instant;
 
 /// Penalty factor nu of the shape example.
 const PENALTY: f64 = 1e16;
@@ -102,22 +101,12 @@ impl Server {
         let (mut seconds, mut evaluations, mut costs) = (Vec::new(), Vec::new(), Vec::new());
         for seed in 0..count(request, "repeats") as u64 {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-            let begin = Instant::now();
-            let mut stop = || limit.is_some_and(|limit| begin.elapsed().as_secs_f64() >= limit);
+            let begin = cpu_seconds();
+            let mut stop = || limit.is_some_and(|limit| cpu_seconds() - begin >= limit);
             let seeds: [&[f64]; 1] = [&p.case.u_previous];
-            let found = swarm.search(
-                variant,
-                &config,
-                &p.quadratic,
-                &pairs,
-                &low,
-                &high,
-                &seeds,
-                None,
-                &mut rng,
-                &mut stop,
-            );
-            seconds.push(begin.elapsed().as_secs_f64());
+            let found =
+                swarm.search(variant, &config, &p.quadratic, &pairs, &low, &high, &seeds, None, &mut rng, &mut stop);
+            seconds.push(cpu_seconds() - begin);
             evaluations.push(found.evaluations);
             costs.push(found.cost);
         }
