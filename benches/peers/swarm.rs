@@ -78,7 +78,7 @@ impl Server {
         answer
     }
 
-    /// Searches `repeats` times from seeds that follow one another, with `sweeps` sweeps or for `seconds`.
+    /// Searches `repeats` times with `sweeps` sweeps, from `seed` and the numbers behind it.
     pub fn search(&mut self, request: &Value) -> Value {
         let p = self.loaded.as_ref().expect("a problem first");
         let config = SwarmConfig { sweeps_max: count(request, "sweeps"), ..safe::settings(0.1, PENALTY).swarm };
@@ -96,16 +96,16 @@ impl Server {
         let arm = ArmConfig::paper();
         let (low, high) = (vec![arm.tension_n_min; n], vec![arm.tension_n_max; n]);
         let variant = if request["variant"] == "standard" { Variant::Standard } else { Variant::Improved };
-        let limit = request["seconds"].as_f64();
         let mut swarm = Swarm::new(n, &config, 1);
         let (mut seconds, mut evaluations, mut costs) = (Vec::new(), Vec::new(), Vec::new());
-        for seed in 0..count(request, "repeats") as u64 {
+        let first = request["seed"].as_u64().unwrap_or(0);
+        for seed in first..first + count(request, "repeats") as u64 {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
             let begin = cpu_seconds();
-            let mut stop = || limit.is_some_and(|limit| cpu_seconds() - begin >= limit);
             let seeds: [&[f64]; 1] = [&p.case.u_previous];
             let found =
-                swarm.search(variant, &config, &p.quadratic, &pairs, &low, &high, &seeds, None, &mut rng, &mut stop);
+                swarm
+                    .search(variant, &config, &p.quadratic, &pairs, &low, &high, &seeds, None, &mut rng, &mut || false);
             seconds.push(cpu_seconds() - begin);
             evaluations.push(found.evaluations);
             costs.push(found.cost);
