@@ -92,6 +92,8 @@ def safe_step(driver, quick):
                     e["cpu_s"] += seconds
                     gap = float(problem.cost_function(x, p)) / case["J_opt"] - 1
                     e |= {"iterations": int(solver.iterations), "gap": gap, "ended": str(solver.ended)}
+                    if hasattr(solver, "functions_s"):
+                        e.setdefault("functions_s", []).append(solver.functions_s)
             for name, e in row["solvers"].items():
                 e["median_s"] = statistics.median(e["cpu_s"])
                 e["same_optimum"] = abs(e["gap"]) < 1e-6

@@ -136,6 +136,14 @@ def safe(out, data, lines):
     for what, r in (("IPOPT, best interpreted setting of each case", first), ("IPOPT, best of all settings of each case", best)):
         if r:
             lines.append(f"| {what} | **{statistics.median(r):.0f}** | {min(r):.0f} | {max(r):.0f} | {len(r)} of {len(cases)} |")
+    share = {
+        n: statistics.median(statistics.median(c["solvers"][n]["functions_s"]) / c["solvers"][n]["median_s"] for c in cases)
+        for n in names
+        if all("functions_s" in c["solvers"].get(n, {}) for c in cases)
+    }
+    if share:
+        lines += ["", "Share of a solve that evaluates cost, constraints and derivatives (the rest is IPOPT with MUMPS): "
+                  + ", ".join(f"{n} {100 * v:.0f} %" for n, v in share.items()) + "."]
     if data["compile_s"]:
         lines += ["", "Compiling the functions took " + ", ".join(f"{v:.0f} s ({k})" for k, v in data["compile_s"].items())
                   + ", not counted."]

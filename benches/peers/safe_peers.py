@@ -53,8 +53,11 @@ class Ipopt:
 
     def solve(self):
         solution = self.solver(**self.arguments)
-        self.iterations = self.solver.stats()["iter_count"]
-        self.ended = self.solver.stats()["return_status"]
+        stats = self.solver.stats()
+        self.ended = stats["return_status"]
+        self.iterations = stats["iter_count"]
+        # Cost, constraints and their derivatives; the rest is IPOPT's own, mostly MUMPS.
+        self.functions_s = sum(v for k, v in stats.items() if k.startswith("t_proc_nlp"))
         return np.array(solution["x"])[:, 0]
 
 
