@@ -13,6 +13,10 @@ import subprocess
 import sys
 import time
 
+# pyswarms writes a log where it is imported, CasADi's compiler where it is called: not into the checkout.
+STARTED_IN = pathlib.Path.cwd()
+os.chdir(os.environ.get("TMPDIR", "."))
+
 import numpy as np
 
 import plants
@@ -163,10 +167,8 @@ def main():
     parser.add_argument("--results", type=pathlib.Path, default=ROOT / "benches/peers/results")
     parser.add_argument("--only", choices=["plant", "safe", "swarm"], action="append")
     arguments = parser.parse_args()
-    out = arguments.results.resolve()
+    out = STARTED_IN / arguments.results
     out.mkdir(parents=True, exist_ok=True)
-    # CasADi's compiler writes into the working directory.
-    os.chdir(os.environ.get("TMPDIR", "."))
     wanted = arguments.only or ["plant", "safe", "swarm"]
     data = {"environment": environment(arguments.quick)}
     driver = Sinew()

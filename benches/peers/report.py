@@ -11,6 +11,8 @@ import plants
 
 COLOURS = {"sinew": "#c1121f", "MuJoCo": "#1d4e89", "PyElastica": "#4a7c59"}
 MARKS = {5: "o", 10: "s", 20: "^", 40: "D"}
+# A front of its own for the rod whose shear and stretch are the backbone's: a softened one is another rod.
+PEERS = [("MuJoCo", "MuJoCo", None), ("PyElastica", "PyElastica", None), ("PyElastica, not softened", "PyElastica", "stretch 1")]
 plt.rcParams |= {"svg.hashsalt": "sinew", "font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
 
 
@@ -66,11 +68,11 @@ def plant(out, data, lines):
          "limit of small steps: what the choice of mesh and chord does not touch."),
     ):
         table = []
-        for package in ("MuJoCo", "PyElastica"):
-            for r in plants.ratios(runs, package, key):
+        for name, package, setting in PEERS:
+            for r in plants.ratios(runs, package, key, setting):
                 p = r["peer"]
                 table.append(
-                    f"| {package}, {p['elements_per_segment']} elements, {p['setting']}, {p['step_s'] * 1e3:g} ms "
+                    f"| {name}, {p['elements_per_segment']} elements, {p['setting']}, {p['step_s'] * 1e3:g} ms "
                     f"| {millimetres(r['error_m'])} | {p['realtime_factor']:.3g} "
                     + (f"| {r['sinew_realtime_factor']:.3g} | **{r['ratio']:.3g}** |" if r["ratio"] else "| - | - |")
                 )
@@ -96,6 +98,48 @@ def plant(out, data, lines):
     if unstable:
         lines += ["", "Did not finish (unstable or no convergence): "
                   + "; ".join(f"{r['package']} {r['elements_per_segment']} {r['setting']} {r['step_s'] * 1e3:g} ms" for r in unstable)]
+
+
+def headline(data):
+    """What was asked of each comparison, beside what came out."""
+    lines = ["| ratio in this run | asked | least | median | most | of |", "|---|---|---|---|---|---|"]
+
+    def row(what, asked, values, of):
+        if values:
+            v = sorted(values)
+            lines.append(f"| {what} | {asked} | {v[0]:.3g} | **{statistics.median(v):.3g}** | {v[-1]:.3g} | {of} |")
+
+    if "safe" in data:
+        cases = data["safe"]["cases"]
+
+        def best(names):
+            out = []
+            for c in cases:
+                times = [e["median_s"] for n, e in c["solvers"].items() if names(n) and e["same_optimum"]]
+                if times:
+                    out.append(min(times) / c["solvers"]["sinew"]["median_s"])
+            return out
+
+        row("safe step, CasADi + IPOPT, best interpreted setting of each case", 100,
+            best(lambda n: n.startswith("ipopt") and n != "ipopt compiled"), f"{len(cases)} cases")
+        row("safe step, CasADi + IPOPT, compiled as C", 100, best(lambda n: n == "ipopt compiled"), f"{len(cases)} cases")
+        row("safe step, SciPy, same Newton", "-", best(lambda n: n == "scipy newton"), f"{len(cases)} cases")
+        row("safe step, SciPy, SLSQP", "-", best(lambda n: n == "scipy slsqp"), f"{len(cases)} cases")
+    if "plant" in data:
+        for name, package, setting in PEERS:
+            found = [r for r in plants.ratios(data["plant"]["runs"], package, "rms_m", setting) if r["ratio"]]
+            asked = 2 if package == "MuJoCo" else 50
+            row(f"plant at equal error, {name}", asked, [r["ratio"] for r in found], f"{len(found)} settings on its front")
+            good = [r["ratio"] for r in found if r["error_m"] <= 0.02]
+            row(f"plant at equal error, {name}, errors up to 20 mm", asked, good, f"{len(good)} settings on its front")
+        found = [r for r in plants.ratios(data["plant"]["runs"], "MuJoCo", "own_rms_m") if r["ratio"]]
+        row("plant, time integration alone, MuJoCo", "-", [r["ratio"] for r in found], f"{len(found)} settings on its front")
+    if "swarm" in data:
+        for peer, asked in (("pyswarms", 10), ("numpy", "-")):
+            rates = [c["equal_evaluations"] for c in data["swarm"]["cases"]]
+            row(f"swarm evaluations per second, {peer}", asked,
+                [r["sinew"]["evaluations_per_s"] / r[peer]["evaluations_per_s"] for r in rates], f"{len(rates)} problems")
+    return lines + [""]
 
 
 def safe(out, data, lines):
@@ -199,6 +243,7 @@ def write(out, data):
         f"- Python {e['python']}: " + ", ".join(f"{n} {v}" for n, v in e["packages"].items()),
         "- one thread each; times are the processor time of the thread", "",
     ]
+    lines += headline(data)
     for name, part in (("plant", plant), ("safe", safe), ("swarm", swarm)):
         if name in data:
             part(out, data[name], lines)
