@@ -6,7 +6,7 @@
 use super::complementarity::{self, Problem, Solver};
 use super::problem::{Goal, Quadratic, tension_cost};
 use super::swarm::{Pairs, Swarm, Variant};
-use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, required_distance};
+use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, penalty, required_distance};
 use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
 use crate::integrator::{AffineMap, Scheme, Stepper};
 use crate::math::block_tridiagonal::{BLOCK, Singular};
@@ -111,6 +111,10 @@ pub struct Planner {
     u: Vec<f64>,
     effective: Vec<f64>,
     candidate: Vec<f64>,
+    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bound of violation.
+    iterate: Vec<f64>,
+    seeds: usize,
+    strict: Option<f64>,
     next: State,
     dx: Vec<f64>,
     frames: Frames,
@@ -168,6 +172,9 @@ impl Planner {
             u: vec![0.0; nc],
             effective: vec![0.0; nc],
             candidate: vec![0.0; nc],
+            iterate: vec![0.0; nc],
+            seeds: 0,
+            strict: None,
             next: State::at_rest(arm.straight()),
             dx: vec![0.0; BLOCK * n],
             frames: frames(),
@@ -212,6 +219,36 @@ impl Planner {
         &mut self.body
     }
 
+    /// How much better the last swarm's answer is than the best of its seeds in the cost (28): never below zero but for
+    /// rounding. `None` where the last plan's last iteration searched with no swarm. `obstacles` is the set that the plan had
+    /// ahead. An evaluation of its own, plain and slow, for benches and tests. Does not allocate.
+    pub fn seed_margin(&self, obstacles: &ObstacleSet) -> Option<f64> {
+        let seeds = [&self.previous, &self.iterate, &self.candidate];
+        let best = seeds[..self.seeds].iter().map(|u| self.swarm_cost(u, obstacles)).fold(f64::INFINITY, f64::min);
+        let answer = self.swarm_cost(self.swarm.answer(), obstacles);
+        // Where no seed has a finite cost, any answer will do.
+        (self.seeds > 0).then(|| if best.is_finite() { best - answer } else { 0.0 })
+    }
+
+    /// Cost (28) of tensions in the last swarm's problem.
+    fn swarm_cost(&self, u: &[f64], obstacles: &ObstacleSet) -> f64 {
+        let nc = u.len();
+        let mut cost = self.quadratic.cost(u);
+        for (r, row) in self.pairs.rows.iter().enumerate() {
+            let at = Vector3::from_fn(|c, _| {
+                let slope = &self.pairs.slope[(3 * r + c) * nc..(3 * r + c + 1) * nc];
+                self.pairs.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
+            });
+            let d = obstacles.moved_distance(row, &at) - self.pairs.required[r];
+            let clearance = self.config.clearance_m;
+            cost += self.config.swarm.penalty * penalty(d + clearance, clearance, self.pairs.length[r]).0;
+            if self.strict.is_some_and(|limit| -d > limit) {
+                return f64::INFINITY;
+            }
+        }
+        cost
+    }
+
     /// Plans one step. `stop` tells whether the time is over; it is asked once per Newton iteration and per sweep.
     /// Does not allocate.
     pub fn plan(
@@ -244,6 +281,7 @@ impl Planner {
             cost: f64::NAN,
             distance_min: f64::INFINITY,
         };
+        self.seeds = 0;
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
         // Where the last tensions are unknown there is nothing to plan a change from.
@@ -418,8 +456,11 @@ impl Planner {
             slope: &self.pairs.slope[..3 * rows * nc],
             obstacles: inputs.ahead,
         };
-        let all: [&[f64]; 3] = [&self.previous, &self.u, &self.candidate];
+        self.iterate.copy_from_slice(&self.u);
+        self.strict = strict;
+        let all: [&[f64]; 3] = [&self.previous, &self.iterate, &self.candidate];
         let seeds = if complementarity { &all[..] } else { &all[..2] };
+        self.seeds = seeds.len();
         let variant = if branch == WarningBranch::StandardSwarm { Variant::Standard } else { Variant::Improved };
         let found = self.swarm.search(
             variant,
