@@ -2,26 +2,27 @@
 //!
 //! - One Newton iteration with all 24 tension columns (linearise, factor, the panel, apply), 20,000 times over states
 //!   of a moving arm.
+//! - What one more evaluation of the swarm costs.
 //! - The whole cycle (observer, plan with two Newton iterations, guard), 10,000 ticks of a moving target, with the
 //!   controller's own configuration: free; and with two balls within the barrier's reach, 40 particles and a budget.
 //!   There every plan's answer is compared with the swarm's seeds, by a plain evaluation of its own.
 //!
-//! `cargo bench --bench cycle` (about 20 s after building). A name as argument runs one part: `newton`, `safe`,
-//! `warning`.
+//! `cargo bench --bench cycle` (about 20 s after building). A name as argument runs one part: `newton`,
+//! `swarm`, `safe`, `warning`.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
 
 use hdrhistogram::Histogram;
 use nalgebra::{Vector3, Vector4};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::Shape;
-use sinew::config::{Config, ShapeConfig};
+use sinew::collision::{Obstacle, ObstacleSet, Shape};
+use sinew::config::{Config, ShapeConfig, WarningBranch};
 use sinew::control::obstacles::Placement;
 use sinew::control::*;
 use sinew::estimator::Observer;
 use sinew::integrator::{AffineMap, Scheme, Stepper};
 use sinew::model::{Arm, Motion, State};
-use sinew::planner::{Branch, Inputs, Planner, Report, Status};
+use sinew::planner::{Branch, Goal, Inputs, Planner, Report, Status};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -39,6 +40,9 @@ fn main() {
     let mut config = Config::load(&[file("arm.toml"), file("controller.toml"), file("drives.toml")]).unwrap();
     if runs("newton") {
         newton(&config);
+    }
+    if runs("swarm") {
+        swarm(&config);
     }
     if runs("safe") {
         let times = run(&config, 0);
@@ -101,10 +105,61 @@ fn newton(config: &Config) {
         }
     }
     for (what, h) in
-        ["Newton iteration, 24 columns", "  assembly", "  factorisation", "  panel", "  evaluate and apply"].iter().zip(&parts)
+        ["Newton iteration, 24 columns", "  assembly", "  factorisation", "  panel", "  evaluate and apply"]
+            .iter()
+            .zip(&parts)
     {
         line(what, h);
     }
+}
+
+/// What one more evaluation of the swarm costs: two planners that differ in their sweeps alone, 43 particles near two
+/// balls; everything but the sweeps cancels in the difference.
+fn swarm(config: &Config) {
+    let arm = Arm::new(&config.arm);
+    let state = State::at_rest(arm.bent(&[0.3, 0.2, -0.2, 0.1, 0.2, -0.3, 0.1, 0.2]));
+    let tip = arm.tip(&state.q, &state.qd);
+    let (mut now, u) = (ObstacleSet::new(), vec![10.0; arm.cable_count()]);
+    for (k, side) in [1.0, -1.0].into_iter().enumerate() {
+        let ball = Shape::new(&ShapeConfig::Ball { radius_m: 0.1 }).unwrap();
+        let at = tip.position + Vector3::new(0.0, side * 0.2, 0.1);
+        let at = sinew::collision::pose(at.into(), [1.0, 0.0, 0.0, 0.0]).unwrap();
+        now.insert(Obstacle::new(k as u64, ball, &at).unwrap()).unwrap();
+    }
+    let weights = &config.weights.tip;
+    let goal = Goal::Tip {
+        position: tip.position + Vector3::new(0.02, 0.02, 0.02),
+        quaternion: tip.quaternion,
+        pose: weights.pose,
+        rate: weights.rate,
+        damping: weights.damping,
+    };
+    let inputs = Inputs { state: &state, u_previous: &u, disturbance: &[], goal, now: &now, ahead: &now };
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut measure = |sweeps: usize| {
+        let mut settings = config.planner.clone();
+        settings.warning = WarningBranch::Seeded;
+        settings.newton_iterations_max = 1;
+        let swarm = &mut settings.swarm;
+        (swarm.particles_normal, swarm.particles_uniform) = (30, 10);
+        (swarm.sweeps_max, swarm.stall_sweeps) = (sweeps, sweeps);
+        let mut planner = Planner::new(&config.arm, &settings, weights.tension, &weights.tension_change);
+        let (mut h, mut evaluations) = (histogram(), 0);
+        for _ in 0..500 {
+            let begin = Instant::now();
+            let report = planner.plan(&inputs, &mut rng, &mut || false);
+            h.record(begin.elapsed().as_nanos() as u64).unwrap();
+            evaluations = report.evaluations;
+        }
+        (h.value_at_quantile(0.5) as f64 * 1e-9, evaluations as f64)
+    };
+    let ((few_s, few), (many_s, many)) = (measure(10), measure(110));
+    let rate = (many - few) / (many_s - few_s);
+    println!(
+        "swarm, 43 particles, two balls      {:.2} million evaluations per second ({:.2} us each)",
+        rate / 1e6,
+        1e6 / rate
+    );
 }
 
 /// A planner that the bench can look at between two ticks.

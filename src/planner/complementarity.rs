@@ -14,6 +14,8 @@
 //! bounded, and it is the paper's.
 
 use crate::math::dense;
+use crate::math::simd::{add_scaled, dot};
+use pulp::{Arch, Simd, WithSimd};
 
 /// One problem; all slices row-major, n tensions, p rows.
 #[derive(Debug, Clone, Copy)]
@@ -134,6 +136,16 @@ impl Solver {
     /// # Panics
     /// If the problem has more rows than the solver has room for.
     pub fn solve(&mut self, problem: &Problem<'_>, u: &mut [f64]) -> Report {
+        self.solve_until(problem, u, &mut || false)
+    }
+
+    /// [`Solver::solve`] that ends early when `stop` says so; it is asked once per working set, after the first, and
+    /// once per four Newton iterations. The answer is then the iterate, inside the box, with
+    /// [`Status::IterationLimit`] where its residual is not yet small. Does not allocate.
+    ///
+    /// # Panics
+    /// As [`Solver::solve`].
+    pub fn solve_until(&mut self, problem: &Problem<'_>, u: &mut [f64], stop: &mut dyn FnMut() -> bool) -> Report {
         let (n, p) = (self.n, problem.d.len());
         assert!(p <= self.capacity, "{p} rows, room for {}", self.capacity);
         for i in 0..n {
@@ -154,14 +166,14 @@ impl Solver {
         self.row_of.clear();
         let mut report = Report { status: Status::Optimal, iterations: 0, kkt_residual: 0.0, rows: 0 };
         loop {
-            let (iterations, residual) = self.newton(problem, size);
+            let (iterations, residual) = self.newton(problem, size, stop);
             report.iterations += iterations;
             // Over an infinite size everything would be small.
             report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
             for i in 0..n {
                 u[i] = (self.z[i] * self.scale[i]).clamp(problem.lower[i], problem.upper[i]);
             }
-            if !self.add_violated(problem, u) {
+            if stop() || !self.add_violated(problem, u) {
                 break;
             }
         }
@@ -233,24 +245,7 @@ impl Solver {
     }
 
     fn evaluate(&self, problem: &Problem<'_>, z: &[f64], force: &mut [f64]) {
-        let (n, p) = (self.n, self.row_of.len());
-        for i in 0..n {
-            let mut f = self.b[i];
-            for j in 0..n {
-                f += self.a[i * n + j] * z[j];
-            }
-            for k in 0..p {
-                f -= self.c[k * n + i] * z[n + k];
-            }
-            force[i] = f;
-        }
-        for k in 0..p {
-            let mut f = problem.d[self.row_of[k]] / self.row_scale[k] + COMPLIANCE * z[n + k];
-            for i in 0..n {
-                f += self.c[k * n + i] * z[i];
-            }
-            force[n + k] = f;
-        }
+        Arch::new().dispatch(Evaluation { solver: self, d: problem.d, z, force });
     }
 
     fn merit(&self, z: &[f64], force: &[f64]) -> f64 {
@@ -258,7 +253,7 @@ impl Solver {
     }
 
     /// Semismooth Newton on the working set; returns iterations and the natural residual.
-    fn newton(&mut self, problem: &Problem<'_>, size: f64) -> (usize, f64) {
+    fn newton(&mut self, problem: &Problem<'_>, size: f64, stop: &mut dyn FnMut() -> bool) -> (usize, f64) {
         let m = self.n + self.row_of.len();
         let mut force = std::mem::take(&mut self.force);
         let mut trial = std::mem::take(&mut self.trial);
@@ -268,6 +263,9 @@ impl Solver {
         let mut residual = self.natural(&z[..m], &force[..m]);
         let mut iterations = 0;
         while residual > TOLERANCE * size && iterations < ITERATIONS_MAX {
+            if iterations % 4 == 3 && stop() {
+                break;
+            }
             iterations += 1;
             let mut merit = 0.0;
             for i in 0..m {
@@ -335,6 +333,35 @@ impl Solver {
                 worst.max(off)
             }
         })
+    }
+}
+
+/// [`Solver::evaluate`] with the processor's vectors: `F(z)` of the working set.
+struct Evaluation<'a> {
+    solver: &'a Solver,
+    d: &'a [f64],
+    z: &'a [f64],
+    force: &'a mut [f64],
+}
+
+impl WithSimd for Evaluation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { solver, d, z, force } = self;
+        let n = solver.n;
+        let (upper, lower) = force.split_at_mut(n);
+        upper.copy_from_slice(&solver.b);
+        // A is symmetric: its columns are its rows.
+        for j in 0..n {
+            add_scaled(simd, z[j], &solver.a[j * n..(j + 1) * n], upper);
+        }
+        for (k, &row) in solver.row_of.iter().enumerate() {
+            let c = &solver.c[k * n..(k + 1) * n];
+            add_scaled(simd, -z[n + k], c, upper);
+            lower[k] = d[row] / solver.row_scale[k] + COMPLIANCE * z[n + k] + dot(simd, c, &z[..n]);
+        }
     }
 }
 
