@@ -136,16 +136,6 @@ impl Solver {
     /// # Panics
     /// If the problem has more rows than the solver has room for.
     pub fn solve(&mut self, problem: &Problem<'_>, u: &mut [f64]) -> Report {
-        self.solve_until(problem, u, &mut || false)
-    }
-
-    /// [`Solver::solve`] that ends early when `stop` says so; it is asked once per working set, after the first, and
-    /// once per four Newton iterations. The answer is then the iterate, inside the box, with
-    /// [`Status::IterationLimit`] where its residual is not yet small. Does not allocate.
-    ///
-    /// # Panics
-    /// As [`Solver::solve`].
-    pub fn solve_until(&mut self, problem: &Problem<'_>, u: &mut [f64], stop: &mut dyn FnMut() -> bool) -> Report {
         let (n, p) = (self.n, problem.d.len());
         assert!(p <= self.capacity, "{p} rows, room for {}", self.capacity);
         for i in 0..n {
@@ -166,14 +156,14 @@ impl Solver {
         self.row_of.clear();
         let mut report = Report { status: Status::Optimal, iterations: 0, kkt_residual: 0.0, rows: 0 };
         loop {
-            let (iterations, residual) = self.newton(problem, size, stop);
+            let (iterations, residual) = self.newton(problem, size);
             report.iterations += iterations;
             // Over an infinite size everything would be small.
             report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
             for i in 0..n {
                 u[i] = (self.z[i] * self.scale[i]).clamp(problem.lower[i], problem.upper[i]);
             }
-            if stop() || !self.add_violated(problem, u) {
+            if !self.add_violated(problem, u) {
                 break;
             }
         }
@@ -253,7 +243,7 @@ impl Solver {
     }
 
     /// Semismooth Newton on the working set; returns iterations and the natural residual.
-    fn newton(&mut self, problem: &Problem<'_>, size: f64, stop: &mut dyn FnMut() -> bool) -> (usize, f64) {
+    fn newton(&mut self, problem: &Problem<'_>, size: f64) -> (usize, f64) {
         let m = self.n + self.row_of.len();
         let mut force = std::mem::take(&mut self.force);
         let mut trial = std::mem::take(&mut self.trial);
@@ -263,9 +253,6 @@ impl Solver {
         let mut residual = self.natural(&z[..m], &force[..m]);
         let mut iterations = 0;
         while residual > TOLERANCE * size && iterations < ITERATIONS_MAX {
-            if iterations % 4 == 3 && stop() {
-                break;
-            }
             iterations += 1;
             let mut merit = 0.0;
             for i in 0..m {
