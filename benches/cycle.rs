@@ -1,46 +1,287 @@
-//! The whole cycle (observer, plan with two Newton iterations, guard) of the paper's arm, with the controller's own
-//! configuration, tick by tick on a moving target: p50, p99, p99.9 and the largest of 5,000 ticks, free and with two
-//! balls within the warning distance. Percentiles, not means: a loop is judged by its late ticks.
+//! The controller's times on the paper's arm, as a loop is judged: by percentiles, not means.
+//!
+//! - One Newton iteration with all 24 tension columns (linearise, factor, the panel, apply), 20,000 times over states
+//!   of a moving arm.
+//! - What one more evaluation of the swarm costs.
+//! - The whole cycle (observer, plan with two Newton iterations, guard), 10,000 ticks of a moving target, with the
+//!   controller's own configuration: free; and with two balls within the barrier's reach, 40 particles and a budget.
+//!   There every plan's answer is compared with the swarm's seeds, by a plain evaluation of its own.
+//!
+//! `cargo bench --bench cycle` (about 20 s after building). A name as argument runs one part: `newton`,
+//! `swarm`, `safe`, `warning`.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
 
 use hdrhistogram::Histogram;
 use nalgebra::{Vector3, Vector4};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::Shape;
-use sinew::config::{Config, ShapeConfig};
+use sinew::collision::{Obstacle, ObstacleSet, Shape};
+use sinew::config::{Config, ShapeConfig, WarningBranch};
 use sinew::control::obstacles::Placement;
 use sinew::control::*;
 use sinew::estimator::Observer;
-use sinew::integrator::{Scheme, Stepper};
-use sinew::model::{Arm, State};
+use sinew::integrator::{AffineMap, Scheme, Stepper};
+use sinew::model::{Arm, Motion, State};
+use sinew::planner::{Branch, Goal, Inputs, Planner, Report, Status};
+use std::cell::RefCell;
 use std::path::PathBuf;
-use std::time::Instant;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
 
-const TICKS: u64 = 5_000;
+const TICKS: u64 = 10_000;
+/// Budget of a whole warning cycle, and what of it is kept for the guard: planning ends by the difference.
+const BUDGET: Duration = Duration::from_micros(800);
+const RESERVE: Duration = Duration::from_micros(60);
 
 fn main() {
+    let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
+    let runs = |name: &str| wanted.is_empty() || wanted.iter().any(|w| w == name);
     let file = |name: &str| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("config").join(name);
-    let config = Config::load(&[file("arm.toml"), file("controller.toml"), file("drives.toml")]).unwrap();
-    for (name, balls) in [("free", 0), ("two balls near", 2)] {
-        let histogram = run(&config, balls);
-        let at = |q: f64| histogram.value_at_quantile(q) as f64 / 1e3;
+    let mut config = Config::load(&[file("arm.toml"), file("controller.toml"), file("drives.toml")]).unwrap();
+    if runs("newton") {
+        newton(&config);
+    }
+    if runs("swarm") {
+        swarm(&config);
+    }
+    if runs("safe") {
+        let times = run(&config, 0);
+        times.print("safe cycle");
+    }
+    if runs("warning") {
+        (config.planner.swarm.particles_normal, config.planner.swarm.particles_uniform) = (30, 10);
+        let times = run(&config, 2);
+        times.print("warning cycle");
+        times.print_warning();
+    }
+}
+
+fn histogram() -> Histogram<u64> {
+    Histogram::new(3).unwrap()
+}
+
+fn line(what: &str, h: &Histogram<u64>) {
+    let at = |q: f64| h.value_at_quantile(q) as f64 / 1e3;
+    println!(
+        "{what:34} p50 {:8.1} us   p99 {:8.1} us   p99.9 {:8.1} us   max {:8.1} us",
+        at(0.5),
+        at(0.99),
+        at(0.999),
+        h.max() as f64 / 1e3
+    );
+}
+
+/// Linearise, factor, solve for all columns, apply: what one iterate of the planner costs before it optimises.
+fn newton(config: &Config) {
+    let arm = Arm::new(&config.arm);
+    let scheme = Scheme::new(config.arm.rho_inf);
+    let rates = scheme.rates(config.planner.lookahead_s);
+    let (mut stepper, mut map) = (Stepper::new(&arm), AffineMap::new(&arm));
+    let u: Vec<f64> = (0..arm.cable_count()).map(|c| 20.0 + 15.0 * (c as f64 * 1.9).sin()).collect();
+    let mut dx = vec![0.0; map.x0.len()];
+    let mut parts = [histogram(), histogram(), histogram(), histogram(), histogram()];
+    let mut states = Vec::new();
+    for k in 0..20 {
+        let bend: Vec<f64> = (0..2 * arm.segment_count()).map(|s| (f64::from(k) * 0.3 + s as f64).sin()).collect();
+        states.push(State::at_rest(arm.bent(&bend)));
+    }
+    for k in 0..20_000 {
+        let mut state = states[k % states.len()].clone();
+        let begin = Instant::now();
+        stepper.linearization.scale = 1e4;
+        arm.linearize(&Motion::from(&state), &u, rates, &mut stepper.linearization);
+        let assembled = Instant::now();
+        stepper.factor.factor(&stepper.linearization.tangent).unwrap();
+        let factored = Instant::now();
+        stepper.affine_map_into(&mut map);
+        let solved = Instant::now();
+        map.evaluate_into(&u, &mut dx);
+        stepper.apply(&dx, rates, &mut state);
+        let end = Instant::now();
+        assert!(state.q[0].is_finite());
+        let times = [end - begin, assembled - begin, factored - assembled, solved - factored, end - solved];
+        for (h, t) in parts.iter_mut().zip(times) {
+            h.record(t.as_nanos() as u64).unwrap();
+        }
+    }
+    for (what, h) in
+        ["Newton iteration, 24 columns", "  assembly", "  factorisation", "  panel", "  evaluate and apply"]
+            .iter()
+            .zip(&parts)
+    {
+        line(what, h);
+    }
+}
+
+/// What one more evaluation of the swarm costs: two planners that differ in their sweeps alone, 43 particles near two
+/// balls; everything but the sweeps cancels in the difference.
+fn swarm(config: &Config) {
+    let arm = Arm::new(&config.arm);
+    let state = State::at_rest(arm.bent(&[0.3, 0.2, -0.2, 0.1, 0.2, -0.3, 0.1, 0.2]));
+    let tip = arm.tip(&state.q, &state.qd);
+    let (mut now, u) = (ObstacleSet::new(), vec![10.0; arm.cable_count()]);
+    for (k, side) in [1.0, -1.0].into_iter().enumerate() {
+        let ball = Shape::new(&ShapeConfig::Ball { radius_m: 0.1 }).unwrap();
+        let at = tip.position + Vector3::new(0.0, side * 0.2, 0.1);
+        let at = sinew::collision::pose(at.into(), [1.0, 0.0, 0.0, 0.0]).unwrap();
+        now.insert(Obstacle::new(k as u64, ball, &at).unwrap()).unwrap();
+    }
+    let weights = &config.weights.tip;
+    let goal = Goal::Tip {
+        position: tip.position + Vector3::new(0.02, 0.02, 0.02),
+        quaternion: tip.quaternion,
+        pose: weights.pose,
+        rate: weights.rate,
+        damping: weights.damping,
+    };
+    let inputs = Inputs { state: &state, u_previous: &u, disturbance: &[], goal, now: &now, ahead: &now };
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut measure = |sweeps: usize| {
+        let mut settings = config.planner.clone();
+        settings.warning = WarningBranch::Seeded;
+        settings.newton_iterations_max = 1;
+        let swarm = &mut settings.swarm;
+        (swarm.particles_normal, swarm.particles_uniform) = (30, 10);
+        (swarm.sweeps_max, swarm.stall_sweeps) = (sweeps, sweeps);
+        let mut planner = Planner::new(&config.arm, &settings, weights.tension, &weights.tension_change);
+        let (mut h, mut evaluations) = (histogram(), 0);
+        for _ in 0..500 {
+            let begin = Instant::now();
+            let report = planner.plan(&inputs, &mut rng, &mut || false);
+            h.record(begin.elapsed().as_nanos() as u64).unwrap();
+            evaluations = report.evaluations;
+        }
+        (h.value_at_quantile(0.5) as f64 * 1e-9, evaluations as f64)
+    };
+    let ((few_s, few), (many_s, many)) = (measure(10), measure(110));
+    let rate = (many - few) / (many_s - few_s);
+    println!(
+        "swarm, 43 particles, two balls      {:.2} million evaluations per second ({:.2} us each)",
+        rate / 1e6,
+        1e6 / rate
+    );
+}
+
+/// A planner that the bench can look at between two ticks.
+struct Shared {
+    inner: Rc<RefCell<(Planner, Tally)>>,
+    u: Vec<f64>,
+}
+
+/// Sums over all plans.
+#[derive(Default, Clone)]
+struct Tally {
+    warning: u64,
+    plans: u64,
+    iterations: u64,
+    sweeps: u64,
+    evaluations: u64,
+    spent: u64,
+    judged: u64,
+    last: Option<Report>,
+}
+
+impl Plan for Shared {
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
+        let (planner, tally) = &mut *self.inner.borrow_mut();
+        let report = planner.plan(inputs, rng, stop);
+        self.u.copy_from_slice(planner.tensions());
+        tally.last = Some(report);
+        report
+    }
+
+    fn tensions(&self) -> &[f64] {
+        &self.u
+    }
+}
+
+impl Tally {
+    fn count(&mut self, planner: &Planner, obstacles: &ObstaclePair) {
+        let Some(report) = self.last.take() else { return };
+        if let Some(margin) = planner.seed_margin(obstacles.ahead()) {
+            assert!(margin >= -1e-9 * report.cost.abs(), "an answer is worse than a seed by {}", -margin);
+            self.judged += 1;
+        }
+        self.plans += 1;
+        self.warning += u64::from(report.branch == Branch::Warning);
+        self.iterations += report.iterations as u64;
+        self.sweeps += report.sweeps as u64;
+        self.evaluations += report.evaluations as u64;
+        self.spent += u64::from(report.status == Status::BudgetSpent);
+    }
+}
+
+/// The cycle's clock.
+struct Clock {
+    begin: Instant,
+    until: Duration,
+    marks: [Duration; 3],
+}
+
+impl Deadline for Clock {
+    fn is_over(&mut self) -> bool {
+        self.begin.elapsed() >= self.until
+    }
+
+    fn mark(&mut self, phase: Phase) {
+        self.marks[phase as usize] = self.begin.elapsed();
+    }
+}
+
+struct Times {
+    cycle: Histogram<u64>,
+    estimate: Histogram<u64>,
+    plan: Histogram<u64>,
+    guard: Histogram<u64>,
+    within: u64,
+    tally: Tally,
+}
+
+impl Times {
+    fn print(&self, what: &str) {
+        line(what, &self.cycle);
+        line("  estimate", &self.estimate);
+        line("  plan", &self.plan);
+        line("  guard", &self.guard);
+    }
+
+    fn print_warning(&self) {
+        let t = &self.tally;
         println!(
-            "cycle, {name:15} p50 {:8.1} us  p99 {:8.1} us  p99.9 {:8.1} us  max {:8.1} us",
-            at(0.5),
-            at(0.99),
-            at(0.999),
-            histogram.max() as f64 / 1e3
+            "  within {} us: {:.3} % of {TICKS} ticks; warning branch in {:.1} %; budget spent in {:.2} %",
+            BUDGET.as_micros(),
+            100.0 * self.within as f64 / TICKS as f64,
+            100.0 * t.warning as f64 / t.plans as f64,
+            100.0 * t.spent as f64 / t.plans as f64,
+        );
+        println!(
+            "  per tick: {:.2} Newton iterations, {:.1} sweeps, {:.0} evaluations; {} answers, none worse than a seed",
+            t.iterations as f64 / t.plans as f64,
+            t.sweeps as f64 / t.plans as f64,
+            t.evaluations as f64 / t.plans as f64,
+            t.judged,
         );
     }
 }
 
-fn run(config: &Config, balls: u64) -> Histogram<u64> {
+fn run(config: &Config, balls: u64) -> Times {
     let period_s = config.timing.period_s;
     let period_ns = (period_s * 1e9) as u64;
     let mut settings = Settings::new(config);
     settings.start_tensions_n.fill(10.0);
-    let mut cycle = Cycle::new(&settings, Observer::new(&config.arm, &settings.observer, period_s));
+    let shared = |tension: f64, change: &[f64]| Shared {
+        inner: Rc::new(RefCell::new((
+            Planner::new(&settings.arm, &settings.planner, tension, change),
+            Tally::default(),
+        ))),
+        u: vec![0.0; config.arm.cable_count()],
+    };
+    let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
+    let tip = shared(tip.tension, &tip.tension_change);
+    let shape = shared(shape.tension, &shape.tension_change);
+    let watched = tip.inner.clone();
+    let observer = Observer::new(&config.arm, &settings.observer, period_s);
+    let mut cycle = Cycle::with_planners(&settings, observer, tip, shape);
     // The arm is the model itself: this measures time, not control.
     let arm = Arm::new(&config.arm);
     let (scheme, mut stepper) = (Scheme::new(config.arm.rho_inf), Stepper::new(&arm));
@@ -59,7 +300,15 @@ fn run(config: &Config, balls: u64) -> Histogram<u64> {
     }
     let mut drives = DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
-    let mut histogram = Histogram::new(3).unwrap();
+    let mut times = Times {
+        cycle: histogram(),
+        estimate: histogram(),
+        plan: histogram(),
+        guard: histogram(),
+        within: 0,
+        tally: Tally::default(),
+    };
+    let until = if balls == 0 { Duration::MAX } else { BUDGET - RESERVE };
     let (mut tick, mut tracked, mut asked) = (0, 0, false);
     while tracked < TICKS {
         tick += 1;
@@ -98,19 +347,27 @@ fn run(config: &Config, balls: u64) -> Histogram<u64> {
             drives,
             request,
         };
-        let begin = Instant::now();
-        let output = cycle.tick(&inputs, &mut rng, &mut || false);
-        let elapsed = begin.elapsed();
+        let mut clock = Clock { begin: Instant::now(), until, marks: [Duration::ZERO; 3] };
+        let output = cycle.tick(&inputs, &mut rng, &mut clock);
+        let elapsed = clock.begin.elapsed();
         cycle.report(&inputs);
         while cycle.events_mut().pop().is_some() {}
+        let [estimated, planned, checked] = clock.marks;
         if output.mode == Mode::Tracking {
             tracked += 1;
-            histogram.record(elapsed.as_nanos() as u64).unwrap();
+            let (planner, tally) = &mut *watched.borrow_mut();
+            tally.count(planner, &obstacles);
+            times.cycle.record(elapsed.as_nanos() as u64).unwrap();
+            times.estimate.record(estimated.as_nanos() as u64).unwrap();
+            times.plan.record((planned - estimated).as_nanos() as u64).unwrap();
+            times.guard.record((checked - planned).as_nanos() as u64).unwrap();
+            times.within += u64::from(elapsed <= BUDGET);
         }
         let on = output.drives == DrivesCommand::On;
         drives.phase = if on { DrivesPhase::Enabled } else { DrivesPhase::Off };
         stepper.step(&arm, &scheme, period_s, &state, cycle.tensions_n(), 12, &mut next).unwrap();
         std::mem::swap(&mut state, &mut next);
     }
-    histogram
+    times.tally = watched.borrow().1.clone();
+    times
 }

@@ -7,16 +7,20 @@
 
 // The scene is fixed and good; a bench that cannot build it should stop.
 
+#[path = "../tests/support/mod.rs"]
+mod support;
+
 use divan::{Bencher, black_box, counter::ItemsCount};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
-use sinew::config::{ArmConfig, BarrierConfig, BodyModel, PlannerConfig, ShapeConfig, SwarmConfig, WarningBranch};
+use sinew::config::{ArmConfig, BarrierConfig, BodyModel, PlannerConfig, ShapeConfig, WarningBranch};
 use sinew::integrator::{Stepper, consistent_start, equilibrium};
 use sinew::math::quaternion::rotation;
 use sinew::model::{Arm, State};
 use sinew::planner::{Branch, Goal, Inputs, Planner};
+use support::settings::planner_config;
 
 fn main() {
     divan::main();
@@ -24,33 +28,13 @@ fn main() {
 
 fn settings(warning: WarningBranch) -> PlannerConfig {
     PlannerConfig {
-        lookahead_s: 0.1,
         period_s: 0.01,
         newton_iterations_max: 2,
-        newton_tolerance: 1e-8,
-        warning,
-        avoidance: true,
         body: BodyModel::Arm,
-        body_radius_m: 0.0,
         clearance_m: 0.01,
-        warning_distance_m: 0.01,
         warning_hysteresis_m: 0.005,
         barrier: Some(BarrierConfig { gamma: 0.3, activation_m: 0.15 }),
-        swarm: SwarmConfig {
-            particles_normal: 30,
-            particles_uniform: 10,
-            sigma_n: 2.0,
-            chaotic_min: 2,
-            chaotic_max: 8,
-            inertia: [0.9, 0.4],
-            acceleration: [1.5, 1.5],
-            sweeps_max: 60,
-            stall_sweeps: 60,
-            tolerance: 0.0,
-            penalty: 1e12,
-        },
-        budget_s: None,
-        lead_s: None,
+        ..planner_config(warning)
     }
 }
 

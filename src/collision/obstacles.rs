@@ -27,7 +27,7 @@ pub enum ObstacleError {
 
 /// The set is full; the obstacle comes back.
 #[derive(Debug, thiserror::Error)]
-#[error("an obstacle set holds at most {OBSTACLES_MAX} obstacles")]
+#[error("the obstacle set is full: it holds {OBSTACLES_MAX} obstacles unless it was made for another number")]
 pub struct SetFull(pub Box<Obstacle>);
 
 /// Pose from a position (m, base frame) and a quaternion `[w x y z]` (obstacle to base), which is normalised.
@@ -156,11 +156,12 @@ impl Obstacle {
     }
 }
 
-/// Up to [`OBSTACLES_MAX`] obstacles, addressed by index. Prepared off the control thread; there it is moved only:
+/// Obstacles, [`OBSTACLES_MAX`] at most unless made for more, addressed by index. Prepared off the control thread; there it is moved only:
 /// poses, velocities and growths change without allocation, and whatever would free memory is handed back.
 #[derive(Debug, Clone)]
 pub struct ObstacleSet {
     obstacles: Vec<Obstacle>,
+    capacity: usize,
 }
 
 impl Default for ObstacleSet {
@@ -170,9 +171,15 @@ impl Default for ObstacleSet {
 }
 
 impl ObstacleSet {
-    /// An empty set with room for all. Allocates.
+    /// An empty set with room for [`OBSTACLES_MAX`]. Allocates.
     pub fn new() -> Self {
-        Self { obstacles: Vec::with_capacity(OBSTACLES_MAX) }
+        Self::with_capacity(OBSTACLES_MAX)
+    }
+
+    /// An empty set with room for `capacity` obstacles. Beyond [`OBSTACLES_MAX`] it is no set for the control thread:
+    /// the first search with it makes the body's buffers longer. Allocates.
+    pub fn with_capacity(capacity: usize) -> Self {
+        Self { obstacles: Vec::with_capacity(capacity), capacity }
     }
 
     /// Add one; returns its index. Does not allocate.
@@ -180,7 +187,7 @@ impl ObstacleSet {
     /// # Errors
     /// [`SetFull`], with the obstacle in it (that path allocates a box).
     pub fn insert(&mut self, obstacle: Obstacle) -> Result<usize, SetFull> {
-        if self.obstacles.len() == OBSTACLES_MAX {
+        if self.obstacles.len() == self.capacity {
             return Err(SetFull(Box::new(obstacle)));
         }
         self.obstacles.push(obstacle);
@@ -249,6 +256,16 @@ impl ObstacleSet {
         } else {
             row.distance + row.normal.dot(&(position - row.position))
         }
+    }
+
+    /// Centre (m, base frame) and radius (m) where the row's obstacle is a ball: [`Self::moved_distance`] is then the
+    /// distance from the centre less radius and inflation.
+    ///
+    /// # Panics
+    /// If the row's obstacle index is out of range.
+    pub fn ball(&self, row: &Proximity) -> Option<(Vector3<f64>, f64)> {
+        let obstacle = &self.obstacles[row.obstacle];
+        obstacle.shape.ball_radius().map(|radius| (obstacle.position, radius))
     }
 
     /// [`Self::moved_distance`] for one particle: `positions` holds x, y, z per row, `distances` one number per row.

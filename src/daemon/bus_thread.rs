@@ -280,7 +280,8 @@ impl BusThread {
     /// was scheduled; the state is there before the encoders that release the tick.
     fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
         let marks = self.lines.iter().any(|line| line.over > 0);
-        let patience_ns = if marks { self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS) } else { self.answer_timeout_ns };
+        let patience_ns =
+            if marks { self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS) } else { self.answer_timeout_ns };
         let cycle = match complete {
             // A late answer can complete a cycle that was given up: its tick has been.
             Some(cycle) if cycle <= self.published => return,

@@ -13,10 +13,10 @@ use crate::integrator::{Scheme, Stepper};
 use crate::math::block_tridiagonal::BLOCK;
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
-/// Stop of the iteration: norm of the coordinates' correction (m, 1). A thousandth of an encoder step moves the tip
+/// Stop of the iteration: the next correction of the coordinates would have a norm below this (m, 1). A thousandth of an encoder step moves the tip
 /// by more than this.
 const TOLERANCE: f64 = 1e-8;
-/// Newton iterations of one observer step; three are usual.
+/// Newton iterations of one observer step; two are usual.
 const ITERATIONS_MAX: usize = 8;
 /// Newton iterations of one model step of the latency compensation.
 const PREDICTION_ITERATIONS_MAX: usize = 6;
@@ -231,6 +231,7 @@ impl Observer {
         let rates = self.scheme.rates(self.period);
         self.scheme.predict(self.period, &self.state, &mut self.next);
         let mut iterations = 0;
+        let mut last = f64::INFINITY;
         loop {
             self.correct(lengths);
             self.effective.copy_from_slice(&self.sent[0]);
@@ -268,7 +269,12 @@ impl Observer {
             if !correction.is_finite() || correction > 1e3 {
                 return None;
             }
-            if correction < TOLERANCE || iterations == ITERATIONS_MAX {
+            // Newton's corrections shrink faster from one to the next, so the one to come is below this: it need not be
+            // made to be known.
+            let shrink = if iterations > 1 { (correction / last).min(1.0) } else { 1.0 };
+            last = correction;
+            let next = correction * shrink;
+            if next < TOLERANCE || iterations == ITERATIONS_MAX {
                 break;
             }
         }

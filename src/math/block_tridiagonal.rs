@@ -8,7 +8,7 @@
 //! (`lower` has columns 0..7, and no row for the norm constraint), and only its seven equations of motion see the node
 //! behind (`upper` has rows 0..7, and no column for the norm multiplier).
 
-use super::simd::add_scaled;
+use super::simd::{Columns, Lanes, Scalars};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::{Index, IndexMut};
 
@@ -220,28 +220,98 @@ impl WithSimd for Factoring<'_> {
                 factor.lower[i] = a.lower[i];
                 let coupling = &factor.coupling[i - 1];
                 for r in 0..COUPLED {
-                    for k in 0..COORDINATES {
-                        add_scaled(simd, -a.lower[i].0[r][k], &coupling.0[k], &mut d.0[r]);
-                    }
+                    let f = a.lower[i].0[r];
+                    combine_rows(simd, std::array::from_fn(|k| -f[k]), coupling, &mut d.0[r]);
                 }
             }
             if !invert(simd, &mut d) {
                 return Err(Singular(i));
             }
-            let mut coupling = Block::ZERO;
+            let coupling = &mut factor.coupling[i];
             for r in 0..BLOCK {
-                for k in 0..COORDINATES {
-                    add_scaled(simd, d.0[r][k], &a.upper[i].0[k], &mut coupling.0[r]);
-                }
+                coupling.0[r] = [0.0; STRIDE];
+                let f = d.0[r];
+                combine_rows(simd, std::array::from_fn(|k| f[k]), &a.upper[i], &mut coupling.0[r]);
             }
-            factor.coupling[i] = coupling;
             factor.inverse[i] = d;
         }
         Ok(())
     }
 }
 
+/// `y += sum f_k x_k` over the first rows of a block, every number of `y` kept in a register meanwhile.
+#[inline(always)]
+fn combine_rows<S: Simd>(simd: S, f: [f64; COORDINATES], x: &Block, y: &mut [f64; STRIDE]) {
+    let (y, y_end) = S::as_mut_simd_f64s(y);
+    for (v, y) in y.iter_mut().enumerate() {
+        let mut sum = *y;
+        for k in 0..COORDINATES {
+            sum = simd.mul_add_e_f64s(simd.splat_f64s(f[k]), S::as_simd_f64s(&x.0[k]).0[v], sum);
+        }
+        *y = sum;
+    }
+    let done = STRIDE - y_end.len();
+    for (c, y) in y_end.iter_mut().enumerate() {
+        for k in 0..COORDINATES {
+            *y += f[k] * x.0[k][done + c];
+        }
+    }
+}
+
+/// Row k is zero in column k and one elsewhere.
+const OTHERS: [[f64; STRIDE]; BLOCK] = {
+    let mut m = [[1.0; STRIDE]; BLOCK];
+    let mut k = 0;
+    while k < BLOCK {
+        m[k][k] = 0.0;
+        k += 1;
+    }
+    m
+};
+
+/// Row k is one in column k and zero elsewhere.
+const UNIT: [[f64; STRIDE]; BLOCK] = {
+    let mut m = [[0.0; STRIDE]; BLOCK];
+    let mut k = 0;
+    while k < BLOCK {
+        m[k][k] = 1.0;
+        k += 1;
+    }
+    m
+};
+
+/// `y = f (y o mask + add)`, entry by entry.
+#[inline(always)]
+fn scale_masked<S: Simd>(simd: S, f: f64, mask: &[f64; STRIDE], add: &[f64; STRIDE], y: &mut [f64; STRIDE]) {
+    let (y, y_end) = S::as_mut_simd_f64s(y);
+    let ((m, m_end), (a, a_end)) = (S::as_simd_f64s(mask), S::as_simd_f64s(add));
+    let factor = simd.splat_f64s(f);
+    for (v, y) in y.iter_mut().enumerate() {
+        *y = simd.mul_f64s(factor, simd.mul_add_e_f64s(*y, m[v], a[v]));
+    }
+    for (c, y) in y_end.iter_mut().enumerate() {
+        *y = f * (*y * m_end[c] + a_end[c]);
+    }
+}
+
+/// `y = y o mask + f x`, entry by entry.
+#[inline(always)]
+fn add_masked<S: Simd>(simd: S, f: f64, x: &[f64; STRIDE], mask: &[f64; STRIDE], y: &mut [f64; STRIDE]) {
+    let (y, y_end) = S::as_mut_simd_f64s(y);
+    let ((m, m_end), (x, x_end)) = (S::as_simd_f64s(mask), S::as_simd_f64s(x));
+    let factor = simd.splat_f64s(f);
+    for (v, y) in y.iter_mut().enumerate() {
+        *y = simd.mul_add_e_f64s(factor, x[v], simd.mul_f64s(*y, m[v]));
+    }
+    for (c, y) in y_end.iter_mut().enumerate() {
+        *y = f * x_end[c] + *y * m_end[c];
+    }
+}
+
 /// Gauss-Jordan with row pivoting, in place; false where a pivot is zero or not finite.
+///
+/// A single number is never written into a row that a vector reads next: the processor would have to wait until the
+/// write has left its store buffer. Column k is therefore cleared by a mask, which halves the time of a factorisation.
 #[inline(always)]
 fn invert<S: Simd>(simd: S, d: &mut Block) -> bool {
     let m = &mut d.0;
@@ -254,20 +324,18 @@ fn invert<S: Simd>(simd: S, d: &mut Block) -> bool {
             }
         }
         order[k] = pivot;
-        m.swap(k, pivot);
+        if pivot != k {
+            m.swap(k, pivot);
+        }
         let p = m[k][k];
         if !(p != 0.0 && p.is_finite()) {
             return false;
         }
-        m[k][k] = 1.0;
-        let inverse = 1.0 / p;
-        m[k].iter_mut().for_each(|v| *v *= inverse);
+        scale_masked(simd, 1.0 / p, &OTHERS[k], &UNIT[k], &mut m[k]);
         let row = m[k];
         for (r, other) in m.iter_mut().enumerate() {
             if r != k {
-                let f = -other[k];
-                other[k] = 0.0;
-                add_scaled(simd, f, &row, other);
+                add_masked(simd, -other[k], &row, &OTHERS[k], other);
             }
         }
     }
@@ -279,7 +347,17 @@ fn invert<S: Simd>(simd: S, d: &mut Block) -> bool {
             }
         }
     }
-    m.iter().all(|row| row[..BLOCK].iter().all(|v| v.is_finite()))
+    // Zero times anything finite is zero.
+    let mut sum = [0.0; STRIDE];
+    for row in m.iter() {
+        let (sum, sum_end) = S::as_mut_simd_f64s(&mut sum);
+        let (row, row_end) = S::as_simd_f64s(row);
+        for (s, v) in sum.iter_mut().zip(row) {
+            *s = simd.mul_add_e_f64s(*v, simd.splat_f64s(0.0), *s);
+        }
+        sum_end.iter_mut().zip(row_end).for_each(|(s, v)| *s += 0.0 * v);
+    }
+    sum.iter().all(|s| *s == 0.0)
 }
 
 /// [`Factor::solve_panel_in_place`] with the processor's vectors.
@@ -329,65 +407,6 @@ impl WithSimd for Panel<'_> {
                 };
             }
         }
-    }
-}
-
-/// A few columns at once: a vector, or a single number at the end of a row.
-trait Columns: Copy {
-    type Value: Copy;
-    const WIDTH: usize;
-    fn splat(self, v: f64) -> Self::Value;
-    fn load(self, s: &[f64]) -> Self::Value;
-    fn store(self, v: Self::Value, s: &mut [f64]);
-    /// `a b + c`.
-    fn multiply_add(self, a: Self::Value, b: Self::Value, c: Self::Value) -> Self::Value;
-}
-
-#[derive(Clone, Copy)]
-struct Scalars;
-
-impl Columns for Scalars {
-    type Value = f64;
-    const WIDTH: usize = 1;
-    #[inline(always)]
-    fn splat(self, v: f64) -> f64 {
-        v
-    }
-    #[inline(always)]
-    fn load(self, s: &[f64]) -> f64 {
-        s[0]
-    }
-    #[inline(always)]
-    fn store(self, v: f64, s: &mut [f64]) {
-        s[0] = v;
-    }
-    #[inline(always)]
-    fn multiply_add(self, a: f64, b: f64, c: f64) -> f64 {
-        a * b + c
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Lanes<S>(S);
-
-impl<S: Simd> Columns for Lanes<S> {
-    type Value = S::f64s;
-    const WIDTH: usize = S::F64_LANES;
-    #[inline(always)]
-    fn splat(self, v: f64) -> S::f64s {
-        self.0.splat_f64s(v)
-    }
-    #[inline(always)]
-    fn load(self, s: &[f64]) -> S::f64s {
-        S::as_simd_f64s(&s[..S::F64_LANES]).0[0]
-    }
-    #[inline(always)]
-    fn store(self, v: S::f64s, s: &mut [f64]) {
-        S::as_mut_simd_f64s(&mut s[..S::F64_LANES]).0[0] = v;
-    }
-    #[inline(always)]
-    fn multiply_add(self, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
-        self.0.mul_add_e_f64s(a, b, c)
     }
 }
 

@@ -3,47 +3,64 @@
 //! Enters: a row-major matrix and a right-hand side. Leaves: the solution in place. nalgebra's dynamic LU and faer's
 //! both want memory of their own at each call; these few lines need none, which the control thread requires.
 
+use super::simd::add_scaled;
+use pulp::{Arch, Simd, WithSimd};
+
 /// Solves `a x = b` in place (`a` n x n row-major, destroyed; `b` becomes `x`). Returns false where a pivot is zero
 /// or not finite. Does not allocate.
 pub fn solve_in_place(n: usize, a: &mut [f64], b: &mut [f64]) -> bool {
-    for k in 0..n {
-        let mut pivot = k;
-        let mut best = a[k * n + k].abs();
-        for r in k + 1..n {
-            let v = a[r * n + k].abs();
-            if v > best {
-                best = v;
-                pivot = r;
-            }
-        }
-        if !(best > 0.0 && best.is_finite()) {
-            return false;
-        }
-        if pivot != k {
-            for c in k..n {
-                a.swap(k * n + c, pivot * n + c);
-            }
-            b.swap(k, pivot);
-        }
-        let (top, below) = a.split_at_mut((k + 1) * n);
-        let row = &top[k * n..];
-        let inverse = 1.0 / row[k];
-        for r in k + 1..n {
-            let other = &mut below[(r - k - 1) * n..(r - k) * n];
-            let f = other[k] * inverse;
-            if f != 0.0 {
-                for (o, p) in other[k + 1..].iter_mut().zip(&row[k + 1..n]) {
-                    *o -= f * p;
+    Arch::new().dispatch(Solving { n, a, b })
+}
+
+struct Solving<'a> {
+    n: usize,
+    a: &'a mut [f64],
+    b: &'a mut [f64],
+}
+
+impl WithSimd for Solving<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> bool {
+        let Self { n, a, b } = self;
+        for k in 0..n {
+            let mut pivot = k;
+            let mut best = a[k * n + k].abs();
+            for r in k + 1..n {
+                let v = a[r * n + k].abs();
+                if v > best {
+                    best = v;
+                    pivot = r;
                 }
-                b[r] -= f * b[k];
+            }
+            if !(best > 0.0 && best.is_finite()) {
+                return false;
+            }
+            if pivot != k {
+                for c in k..n {
+                    a.swap(k * n + c, pivot * n + c);
+                }
+                b.swap(k, pivot);
+            }
+            let (top, below) = a.split_at_mut((k + 1) * n);
+            let row = &top[k * n..];
+            let inverse = 1.0 / row[k];
+            for r in k + 1..n {
+                let other = &mut below[(r - k - 1) * n..(r - k) * n];
+                let f = other[k] * inverse;
+                if f != 0.0 {
+                    add_scaled(simd, -f, &row[k + 1..n], &mut other[k + 1..]);
+                    b[r] -= f * b[k];
+                }
             }
         }
+        for k in (0..n).rev() {
+            let s: f64 = (k + 1..n).map(|c| a[k * n + c] * b[c]).sum();
+            b[k] = (b[k] - s) / a[k * n + k];
+        }
+        b[..n].iter().all(|v| v.is_finite())
     }
-    for k in (0..n).rev() {
-        let s: f64 = (k + 1..n).map(|c| a[k * n + c] * b[c]).sum();
-        b[k] = (b[k] - s) / a[k * n + k];
-    }
-    b[..n].iter().all(|v| v.is_finite())
 }
 
 #[cfg(test)]

@@ -20,6 +20,19 @@ pub fn add_scaled<S: Simd>(simd: S, f: f64, x: &[f64], y: &mut [f64]) {
     }
 }
 
+/// `x . y` over the shorter of the two. Does not allocate.
+#[inline(always)]
+pub fn dot<S: Simd>(simd: S, x: &[f64], y: &[f64]) -> f64 {
+    let n = x.len().min(y.len());
+    let (x, x_end) = S::as_simd_f64s(&x[..n]);
+    let (y, y_end) = S::as_simd_f64s(&y[..n]);
+    let mut sum = simd.splat_f64s(0.0);
+    for (x, y) in x.iter().zip(y) {
+        sum = simd.mul_add_e_f64s(*x, *y, sum);
+    }
+    simd.reduce_sum_f64s(sum) + x_end.iter().zip(y_end).map(|(x, y)| x * y).sum::<f64>()
+}
+
 /// `y += sum f_k x_k` for four rows of `y`'s length. Does not allocate.
 #[inline(always)]
 pub fn add_four<S: Simd>(simd: S, f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
@@ -37,5 +50,64 @@ pub fn add_four<S: Simd>(simd: S, f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
         for k in 0..4 {
             *y += f[k] * heads[k].1[i];
         }
+    }
+}
+
+/// A few columns at once: a vector, or a single number at the end of a row.
+pub(crate) trait Columns: Copy {
+    type Value: Copy;
+    const WIDTH: usize;
+    fn splat(self, v: f64) -> Self::Value;
+    fn load(self, s: &[f64]) -> Self::Value;
+    fn store(self, v: Self::Value, s: &mut [f64]);
+    /// `a b + c`.
+    fn multiply_add(self, a: Self::Value, b: Self::Value, c: Self::Value) -> Self::Value;
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Scalars;
+
+impl Columns for Scalars {
+    type Value = f64;
+    const WIDTH: usize = 1;
+    #[inline(always)]
+    fn splat(self, v: f64) -> f64 {
+        v
+    }
+    #[inline(always)]
+    fn load(self, s: &[f64]) -> f64 {
+        s[0]
+    }
+    #[inline(always)]
+    fn store(self, v: f64, s: &mut [f64]) {
+        s[0] = v;
+    }
+    #[inline(always)]
+    fn multiply_add(self, a: f64, b: f64, c: f64) -> f64 {
+        a * b + c
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Lanes<S>(pub(crate) S);
+
+impl<S: Simd> Columns for Lanes<S> {
+    type Value = S::f64s;
+    const WIDTH: usize = S::F64_LANES;
+    #[inline(always)]
+    fn splat(self, v: f64) -> S::f64s {
+        self.0.splat_f64s(v)
+    }
+    #[inline(always)]
+    fn load(self, s: &[f64]) -> S::f64s {
+        S::as_simd_f64s(&s[..S::F64_LANES]).0[0]
+    }
+    #[inline(always)]
+    fn store(self, v: S::f64s, s: &mut [f64]) {
+        S::as_mut_simd_f64s(&mut s[..S::F64_LANES]).0[0] = v;
+    }
+    #[inline(always)]
+    fn multiply_add(self, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
+        self.0.mul_add_e_f64s(a, b, c)
     }
 }

@@ -1,7 +1,7 @@
 //! The terms of (1), their sum (7), and the total tangent S of (14) in block-tridiagonal form.
 
 use super::arm::Arm;
-use super::cables::{Span, Stiffness};
+use super::cables::{Leg, Span, Stiffness};
 use super::elastic::{self, Ends};
 use super::{chord, inertia};
 use crate::math::block_tridiagonal::{BLOCK, BlockTridiagonal};
@@ -233,33 +233,8 @@ impl Arm {
             let ((vi, wi), (vj, wj)) = (self.rate(qd, i), self.rate(qd, i + 1));
             for pass in &self.passes[e.passes.clone()] {
                 let leg = span.leg(pass);
-                let v = vj - vi + leg.jacobians[1] * wj - leg.jacobians[0] * wi;
-                rates[pass.cable] += leg.direction.dot(&v);
-            }
-        }
-    }
-
-    /// Writes `G` (8), row-major, `stride` rows per node (7, or 11 with the multipliers' rows left alone) x cables.
-    fn input_into(&self, q: &[f64], stride: usize, g: &mut [f64]) {
-        let nc = self.cable_count();
-        for (i, e) in self.elements.iter().enumerate() {
-            let span = self.span(q, i);
-            for pass in &self.passes[e.passes.clone()] {
-                let leg = span.leg(pass);
-                let (fi, fj) = (leg.jacobians[0].tr_mul(&leg.direction), leg.jacobians[1].tr_mul(&leg.direction));
-                let mut add = |node: usize, row: usize, v: f64| g[(stride * node + row) * nc + pass.cable] += v;
-                for k in 0..3 {
-                    if i > 0 {
-                        add(i - 1, k, leg.direction[k]);
-                    }
-                    add(i, k, -leg.direction[k]);
-                }
-                for k in 0..4 {
-                    if i > 0 {
-                        add(i - 1, 3 + k, fi[k]);
-                    }
-                    add(i, 3 + k, -fj[k]);
-                }
+                let [fi, fj] = &leg.forces;
+                rates[pass.cable] += leg.direction.dot(&(vj - vi)) + fj.dot(&wj) - fi.dot(&wi);
             }
         }
     }
@@ -267,7 +242,36 @@ impl Arm {
     /// Writes `G = -(d length/dq)^T`, row-major 7N x cables.
     pub fn cable_input_into(&self, q: &[f64], g: &mut [f64]) {
         g.fill(0.0);
-        self.input_into(q, 7, g);
+        for (i, e) in self.elements.iter().enumerate() {
+            let span = self.span(q, i);
+            for pass in &self.passes[e.passes.clone()] {
+                self.add_input(7, i, pass.cable, &span.leg(pass), 1.0, g);
+            }
+        }
+    }
+
+    /// Adds the column of one cable in element `i` to an input matrix with `stride` rows per node; `sign` flips the
+    /// quaternion of the element's end.
+    #[inline(always)]
+    fn add_input(&self, stride: usize, i: usize, cable: usize, leg: &Leg, sign: f64, g: &mut [f64]) {
+        let nc = self.cable_count();
+        let [fi, fj] = &leg.forces;
+        if i > 0 {
+            let g = &mut g[stride * (i - 1) * nc + cable..];
+            for k in 0..3 {
+                g[k * nc] += leg.direction[k];
+            }
+            for k in 0..4 {
+                g[(3 + k) * nc] += fi[k];
+            }
+        }
+        let g = &mut g[stride * i * nc + cable..];
+        for k in 0..3 {
+            g[k * nc] -= leg.direction[k];
+        }
+        for k in 0..4 {
+            g[(3 + k) * nc] -= sign * fj[k];
+        }
     }
 
     /// Adds `factor * G(q) u`.
@@ -282,10 +286,10 @@ impl Arm {
                 let leg = span.leg(pass);
                 if i > 0 {
                     add3(out, 7 * (i - 1), &leg.direction, f);
-                    add4(out, 7 * (i - 1) + 3, &leg.jacobians[0].tr_mul(&leg.direction), f);
+                    add4(out, 7 * (i - 1) + 3, &leg.forces[0], f);
                 }
                 add3(out, 7 * i, &leg.direction, -f);
-                add4(out, 7 * i + 3, &leg.jacobians[1].tr_mul(&leg.direction), -f);
+                add4(out, 7 * i + 3, &leg.forces[1], -f);
             }
         }
     }
@@ -339,7 +343,6 @@ impl Arm {
         out.tangent.clear();
         out.f.fill(0.0);
         out.input.fill(0.0);
-        self.input_into(m.q, BLOCK, &mut out.input);
         for k in 0..n {
             self.linearize_node(m, rates, k, out);
         }
@@ -384,34 +387,35 @@ impl Arm {
         let (di, dj) = chord::jacobian(self.chord, e, &ends.pi, &ends.pj, &span.jacobians[0][0], &span.jacobians[1][0]);
 
         // f
-        let forces = elastic::forces(self.strain, e, &ends);
+        let elastic = elastic::terms(self.strain, e, &ends, rates.cg);
         let row_j = BLOCK * i;
         if i > 0 {
             let row_i = row_j - BLOCK;
             add3(&mut out.f, row_i, &mu, -1.0);
-            add4(&mut out.f, row_i + 3, &(forces.elastic[0] + forces.damping[0] + di.tr_mul(&mu)), 1.0);
+            add4(&mut out.f, row_i + 3, &(elastic.force[0] + di.tr_mul(&mu)), 1.0);
         }
         add3(&mut out.f, row_j, &mu, 1.0);
-        add4(&mut out.f, row_j + 3, &(forces.elastic[1] + forces.damping[1] + dj.tr_mul(&mu)), sign);
+        add4(&mut out.f, row_j + 3, &(elastic.force[1] + dj.tr_mul(&mu)), sign);
         let psi = rj - ri - e.connector * tangent(&ends.pi) - self.chord_vector(e, &ends.pi, &ends.pj);
         add3(&mut out.f, row_j + 7, &psi, s);
 
         // S
-        let [mut ii, mut ij, mut ji, mut jj] = elastic::tangent(self.strain, e, &ends, rates.cg);
+        let [mut ii, mut ij, mut ji, mut jj] = elastic.tangent;
         let [cii, cij, cjj] = chord::hessian(self.chord, e, &ends.pi, &ends.pj, &mu);
         ii += cii;
         ij += cij;
         ji += cij;
         jj += cjj;
         let mut k = Stiffness::zeros();
-        let mut gather = [Matrix3::zeros(); 2];
         for pass in &self.passes[e.passes.clone()] {
+            let leg = span.leg(pass);
+            self.add_input(BLOCK, i, pass.cable, &leg, sign, &mut out.input);
             let tension = u[pass.cable];
             if tension != 0.0 {
-                k.add(tension, pass, &span.leg(pass), e.connector, &mut gather);
+                k.add(tension, pass, &leg);
             }
         }
-        k.finish(&gather);
+        k.finish(&span);
         ii += k.pp[0];
         ij += k.pp[1];
         ji += k.pp[1].transpose();

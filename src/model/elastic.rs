@@ -6,7 +6,7 @@
 
 use super::arm::Element;
 use crate::config::StrainRule;
-use crate::math::quaternion::{conjugate, left, product, right};
+use crate::math::quaternion::{body_rate, conjugate, left, product, right};
 use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 
 /// The two quaternions of an element and their rates, `p_j` already in the hemisphere of `p_i`.
@@ -79,8 +79,52 @@ pub(super) fn forces(rule: StrainRule, e: &Element, ends: &Ends) -> Forces {
     Forces { elastic: on(&m), damping: on(&md) }
 }
 
+/// Forces on `p_i` and `p_j`, elastic and damping together, and the 4x4 blocks `[ii, ij, ji, jj]` of their tangent.
+pub(super) struct Terms {
+    pub(super) force: [Vector4<f64>; 2],
+    pub(super) tangent: [Matrix4<f64>; 4],
+}
+
+/// Both forces and their tangent, rates weighted with `cg`.
+#[inline(always)]
+pub(super) fn terms(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> Terms {
+    match rule {
+        StrainRule::VectorPart => terms_vector_part(e, ends, cg),
+        StrainRule::Logarithm => {
+            let Forces { elastic, damping } = forces(rule, e, ends);
+            Terms { force: [elastic[0] + damping[0], elastic[1] + damping[1]], tangent: tangent(rule, e, ends, cg) }
+        }
+    }
+}
+
+/// [`terms`] where the curvature is linear in `c`: `kappa = 2 vec(c)/l`, so only `vec(c)` matters, and
+/// `vec(p_i* p_j) = L(p_i) p_j = -L(p_j) p_i` makes the derivatives 3x4.
+#[inline(always)]
+fn terms_vector_part(e: &Element, ends: &Ends, cg: f64) -> Terms {
+    let f = 2.0 / e.length;
+    let (a, ad) = ([-body_rate(&ends.pj), body_rate(&ends.pi)], [-body_rate(&ends.pdj), body_rate(&ends.pdi)]);
+    let c = a[1] * ends.pj;
+    let cd = ad[1] * ends.pj + a[1] * ends.pdj;
+    // l J^T K J on the elastic part, beta l J^T K J on the damping part.
+    let k = e.stiffness * (f * f * e.length);
+    let kd = k * e.damping;
+    let m = k.component_mul(&c) + kd.component_mul(&cd);
+    let m = Vector4::new(0.0, m[0], m[1], m[2]);
+    let total = k + cg * kd;
+    let d: [Matrix3x4<f64>; 2] =
+        std::array::from_fn(|s| Matrix3x4::from_fn(|r, c| total[r] * a[s][(r, c)] + kd[r] * ad[s][(r, c)]));
+    let mixed = right(&m);
+    let block = |p: usize, s: usize| {
+        Matrix4::from_fn(|r, c| a[p][(0, r)] * d[s][(0, c)] + a[p][(1, r)] * d[s][(1, c)] + a[p][(2, r)] * d[s][(2, c)])
+    };
+    Terms {
+        force: [product(&ends.pj, &conjugate(&m)), product(&ends.pi, &m)],
+        tangent: [block(0, 0), block(0, 1) + mixed.transpose(), block(1, 0) + mixed, block(1, 1)],
+    }
+}
+
 /// 4x4 blocks `[ii, ij, ji, jj]` of the tangent of both forces, rates weighted with `cg`.
-pub(super) fn tangent(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> [Matrix4<f64>; 4] {
+fn tangent(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> [Matrix4<f64>; 4] {
     let c = product(&conjugate(&ends.pi), &ends.pj);
     let cd = product(&conjugate(&ends.pdi), &ends.pj) + product(&conjugate(&ends.pi), &ends.pdj);
     let (kappa, j) = strain(rule, e.length, &c);

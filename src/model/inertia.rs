@@ -5,7 +5,7 @@
 
 use super::arm::Node;
 use crate::math::quaternion::{body_rate, right};
-use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
+use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 
 /// `4 L(p)^T J L(p) x`.
 pub(super) fn mass_times(node: &Node, p: &Vector4<f64>, x: &Vector4<f64>) -> Vector4<f64> {
@@ -28,16 +28,28 @@ pub(super) fn tangent(
     cg: f64,
     cb: f64,
 ) -> Matrix4<f64> {
-    let j = Matrix3::from_diagonal(&node.inertia);
+    let j = &node.inertia;
     let (l, ld) = (body_rate(p), body_rate(pd));
     let x = pdd + alpha * pd;
-    let jl = j * l;
-    // d(4 L^T J L x)/dp with dL^T v = dp * (0, v) = right(v) dp and dL x = -L(x) dp.
-    let mut a = 4.0 * (right(&pure(&(jl * x))) - l.transpose() * (j * body_rate(&x)));
-    a += (4.0 * (cb + alpha * cg)) * (l.transpose() * jl);
-    // d(8 L(p')^T J L(p) p')/dp and /dp'.
-    a -= 8.0 * (ld.transpose() * (j * ld));
-    a += (8.0 * cg) * (right(&pure(&(jl * pd))) + ld.transpose() * jl);
+    let lx = body_rate(&x);
+    // d(4 L^T J L x)/dp with dL^T v = dp * (0, v) = right(v) dp and dL x = -L(x) dp; d(8 L(p')^T J L(p) p')/dp and /dp'.
+    let c = cb + alpha * cg;
+    let (mut b, mut bd) = (Matrix3x4::zeros(), Matrix3x4::zeros());
+    for s in 0..4 {
+        for r in 0..3 {
+            b[(r, s)] = 4.0 * j[r] * (c * l[(r, s)] - lx[(r, s)]);
+            bd[(r, s)] = 8.0 * j[r] * (cg * l[(r, s)] - ld[(r, s)]);
+        }
+    }
+    let v = j.component_mul(&(4.0 * (l * x) + (8.0 * cg) * (l * pd)));
+    let mut a = right(&pure(&v));
+    for s in 0..4 {
+        for r in 0..4 {
+            for k in 0..3 {
+                a[(r, s)] += l[(k, r)] * b[(k, s)] + ld[(k, r)] * bd[(k, s)];
+            }
+        }
+    }
     a
 }
 

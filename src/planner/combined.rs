@@ -6,19 +6,23 @@
 use super::complementarity::{self, Problem, Solver};
 use super::problem::{Goal, Quadratic, tension_cost};
 use super::swarm::{Pairs, Swarm, Variant};
-use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, required_distance};
+use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, penalty, required_distance};
 use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
 use crate::integrator::{AffineMap, Scheme, Stepper};
 use crate::math::block_tridiagonal::{BLOCK, Singular};
 use crate::math::quaternion::rotation_jacobians;
+use crate::math::simd::add_four;
 use crate::model::{Arm, Motion, State};
-use nalgebra::{Matrix3x4, Vector3};
+use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Most pairs of body and obstacle that one step plans with; the nearest are kept.
 pub const PAIRS_MAX: usize = 256;
 /// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
 const REACH_M: f64 = 0.05;
+/// A pair whose linearised distance stays above the required one by this for all tensions inside the box is left out (m).
+const UNREACHED_M: f64 = 1e-9;
 
 /// What one planning step works from.
 #[derive(Debug, Clone, Copy)]
@@ -49,9 +53,12 @@ pub enum Branch {
 /// How a planning step ended. None of these is an error: the tensions are bounded and finite in every case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// Dynamics and optimisation converged.
+    /// Dynamics and optimisation converged: the correction is below `newton_tolerance`, and what chose the tensions is
+    /// done with them ([`Report::optimal`]).
     Converged,
-    /// The configured number of iterations was used (in receding use the normal end).
+    /// The iterations ended without convergence: their configured number was used (in receding use the normal end), or a
+    /// swarm without seeds found nothing as good as one, so that standing still means nothing. [`Report::correction`]
+    /// and [`Report::optimal`] tell how far it is from done.
     IterationLimit,
     /// The time budget ended the step; the best so far goes out.
     BudgetSpent,
@@ -73,6 +80,10 @@ pub struct Report {
     pub correction: f64,
     /// KKT residual of the last complementarity problem; NaN where the swarm alone planned.
     pub kkt_residual: f64,
+    /// Whether what chose the tensions of the last iteration ended by itself: the complementarity problem is solved (its
+    /// residual small), or the swarm searched. False where the problem's iteration limit or the budget came first, and
+    /// where a swarm without seeds found nothing as good as one, so that standing still means nothing.
+    pub optimal: bool,
     /// True where the distance rows had no common solution and were relaxed.
     pub relaxed: bool,
     /// Swarm sweeps of the whole step.
@@ -111,11 +122,18 @@ pub struct Planner {
     u: Vec<f64>,
     effective: Vec<f64>,
     candidate: Vec<f64>,
+    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bound of violation.
+    iterate: Vec<f64>,
+    seeds: usize,
+    strict: Option<f64>,
     next: State,
     dx: Vec<f64>,
     frames: Frames,
     frames_now: Frames,
-    jacobians: Vec<Matrix3x4<f64>>,
+    /// Tangents of the nodes 0..=N at zero tension, and their derivatives, 3 x cables each; the base's stay zero.
+    tangent_origin: Vec<Vector3<f64>>,
+    tangent: Vec<f64>,
+    tangent_known: Vec<bool>,
     pairs: PairBuffers,
     scratch: Vec<f64>,
 }
@@ -168,11 +186,16 @@ impl Planner {
             u: vec![0.0; nc],
             effective: vec![0.0; nc],
             candidate: vec![0.0; nc],
+            iterate: vec![0.0; nc],
+            seeds: 0,
+            strict: None,
             next: State::at_rest(arm.straight()),
             dx: vec![0.0; BLOCK * n],
             frames: frames(),
             frames_now: frames(),
-            jacobians: vec![Matrix3x4::zeros(); n + 1],
+            tangent_origin: vec![Vector3::zeros(); n + 1],
+            tangent: vec![0.0; 3 * (n + 1) * nc],
+            tangent_known: vec![false; n + 1],
             pairs: PairBuffers {
                 rows: Vec::with_capacity(PAIRS_MAX),
                 required: Vec::with_capacity(PAIRS_MAX),
@@ -212,6 +235,36 @@ impl Planner {
         &mut self.body
     }
 
+    /// How much better the last swarm's answer is than the best of its seeds in the cost (28): never below zero but for
+    /// rounding. `None` where the last plan's last iteration searched with no swarm. `obstacles` is the set that the plan had
+    /// ahead. An evaluation of its own, plain and slow, for benches and tests. Does not allocate.
+    pub fn seed_margin(&self, obstacles: &ObstacleSet) -> Option<f64> {
+        let seeds = [&self.previous, &self.iterate, &self.candidate];
+        let best = seeds[..self.seeds].iter().map(|u| self.swarm_cost(u, obstacles)).fold(f64::INFINITY, f64::min);
+        let answer = self.swarm_cost(self.swarm.answer(), obstacles);
+        // Where no seed has a finite cost, any answer will do.
+        (self.seeds > 0).then(|| if best.is_finite() { best - answer } else { 0.0 })
+    }
+
+    /// Cost (28) of tensions in the last swarm's problem.
+    fn swarm_cost(&self, u: &[f64], obstacles: &ObstacleSet) -> f64 {
+        let nc = u.len();
+        let mut cost = self.quadratic.cost(u);
+        for (r, row) in self.pairs.rows.iter().enumerate() {
+            let at = Vector3::from_fn(|c, _| {
+                let slope = &self.pairs.slope[(3 * r + c) * nc..(3 * r + c + 1) * nc];
+                self.pairs.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
+            });
+            let d = obstacles.moved_distance(row, &at) - self.pairs.required[r];
+            let clearance = self.config.clearance_m;
+            cost += self.config.swarm.penalty * penalty(d + clearance, clearance, self.pairs.length[r]).0;
+            if self.strict.is_some_and(|limit| -d > limit) {
+                return f64::INFINITY;
+            }
+        }
+        cost
+    }
+
     /// Plans one step. `stop` tells whether the time is over; it is asked once per Newton iteration and per sweep.
     /// Does not allocate.
     pub fn plan(
@@ -238,12 +291,14 @@ impl Planner {
             iterations: 0,
             correction: f64::INFINITY,
             kkt_residual: 0.0,
+            optimal: false,
             relaxed: false,
             sweeps: 0,
             evaluations: 0,
             cost: f64::NAN,
             distance_min: f64::INFINITY,
         };
+        self.seeds = 0;
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
         // Where the last tensions are unknown there is nothing to plan a change from.
@@ -295,8 +350,13 @@ impl Planner {
                         continue;
                     }
                 }
-                report.status = Status::Converged;
-                break;
+                // A problem that ran into its limit goes on from where it is; a swarm that found nothing stands still.
+                if report.optimal || self.config.warning == WarningBranch::StandardSwarm {
+                    if report.optimal {
+                        report.status = Status::Converged;
+                    }
+                    break;
+                }
             }
             if stop() {
                 report.status = Status::BudgetSpent;
@@ -366,6 +426,7 @@ impl Planner {
             Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
         let solved = self.solver.solve(&problem, &mut self.u);
         report.kkt_residual = solved.kkt_residual;
+        report.optimal = solved.status == complementarity::Status::Optimal;
     }
 
     fn solve_warning(
@@ -392,7 +453,10 @@ impl Planner {
                 c: &self.pairs.c[..rows * nc],
                 d: &self.pairs.d[..rows],
             };
+            // Bounded by its iterations, not by the deadline: half a working set would be an answer that ignores the
+            // other half of the obstacles.
             let solved = self.solver.solve(&problem, &mut self.candidate);
+            report.optimal = solved.status != complementarity::Status::IterationLimit;
             report.kkt_residual = solved.kkt_residual;
             report.relaxed = solved.status == complementarity::Status::Relaxed;
             if branch == WarningBranch::Complementarity {
@@ -408,6 +472,7 @@ impl Planner {
             strict = Some(violation + 1e-9);
         } else {
             report.kkt_residual = f64::NAN;
+            report.optimal = true;
         }
         let pairs = Pairs {
             rows: &self.pairs.rows,
@@ -418,8 +483,11 @@ impl Planner {
             slope: &self.pairs.slope[..3 * rows * nc],
             obstacles: inputs.ahead,
         };
-        let all: [&[f64]; 3] = [&self.previous, &self.u, &self.candidate];
+        self.iterate.copy_from_slice(&self.u);
+        self.strict = strict;
+        let all: [&[f64]; 3] = [&self.previous, &self.iterate, &self.candidate];
         let seeds = if complementarity { &all[..] } else { &all[..2] };
+        self.seeds = seeds.len();
         let variant = if branch == WarningBranch::StandardSwarm { Variant::Standard } else { Variant::Improved };
         let found = self.swarm.search(
             variant,
@@ -435,60 +503,108 @@ impl Planner {
         );
         report.sweeps += found.sweeps;
         report.evaluations += found.evaluations;
+        // A swarm that knows no seeds and found nothing as good as one cannot confirm it.
+        report.optimal &= found.found();
         if found.cost.is_finite() {
             self.u.copy_from_slice(self.swarm.answer());
         }
     }
 
-    /// Positions of the pairs' body points and their distances as affine functions of the tensions.
+    /// Positions of the pairs' body points and their distances as affine functions of the tensions; drops the pairs
+    /// that no tensions inside the box can bring below their required distance.
     fn linearize_pairs(&mut self, next: &State, inputs: &Inputs<'_>) {
         let nc = self.u.len();
-        for i in 1..=self.arm.node_count() {
-            self.jacobians[i] = rotation_jacobians(&self.arm.pose(&next.q, i).1)[0];
-        }
+        self.tangent_known.fill(false);
         self.pairs.required.clear();
         self.pairs.length.clear();
-        for (k, row) in self.pairs.rows.iter().enumerate() {
+        let mut kept = 0;
+        for k in 0..self.pairs.rows.len() {
+            let row = self.pairs.rows[k];
             let now = row.point.combine(&self.frames_now.r, &self.frames_now.t);
             let d_now = inputs.now.as_slice()[row.obstacle].distance(&now).0 - row.inflation;
-            self.pairs.required.push(required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref()));
-            self.pairs.length.push(inputs.ahead.as_slice()[row.obstacle].penalty_length());
-            let slope = &mut self.pairs.slope[3 * k * nc..3 * (k + 1) * nc];
+            let required = required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref());
+            let i = row.point.element;
+            for node in [i, i + 1] {
+                self.tangent_slope(next, node);
+            }
+            let slope = &mut self.pairs.slope[3 * kept * nc..3 * (kept + 1) * nc];
             slope.fill(0.0);
             let mut origin = row.position;
-            let i = row.point.element;
-            let [w0, w1, w2, w3] = row.point.weights;
-            for (node, wr, wt) in [(i, w0, w1), (i + 1, w2, w3)] {
-                if node == 0 {
-                    continue;
-                }
-                let at = BLOCK * (node - 1);
-                for c in 0..3 {
-                    // Node's position row and its tangent's four quaternion rows.
-                    let mut add = |f: f64, r: usize| {
-                        origin[c] += f * self.map.x0[r];
-                        for (s, x) in slope[c * nc..(c + 1) * nc].iter_mut().zip(self.map.row(r)) {
-                            *s += f * x;
-                        }
-                    };
-                    add(wr, at + c);
-                    for p in 0..4 {
-                        add(wt * self.jacobians[node][(c, p)], at + 3 + p);
-                    }
-                }
-            }
-            // The swarm and the rows see the commanded tensions; what acts beside them moves the origin.
+            let w = row.point.weights;
+            // The base does not move.
+            let first = usize::from(i == 0) * 2;
             for c in 0..3 {
-                origin[c] +=
-                    slope[c * nc..(c + 1) * nc].iter().zip(inputs.disturbance).map(|(s, w)| s * w).sum::<f64>();
+                let position = |node: usize| BLOCK * (node.max(1) - 1) + c;
+                let tangent = |node: usize| (3 * node + c) * nc..(3 * node + c + 1) * nc;
+                let rows: [&[f64]; 4] = [
+                    self.map.row(position(i)),
+                    &self.tangent[tangent(i)],
+                    self.map.row(position(i + 1)),
+                    &self.tangent[tangent(i + 1)],
+                ];
+                let constants = [
+                    self.map.x0[position(i)],
+                    self.tangent_origin[i][c],
+                    self.map.x0[position(i + 1)],
+                    self.tangent_origin[i + 1][c],
+                ];
+                let mut f = w;
+                f[..first].fill(0.0);
+                origin[c] += f.iter().zip(constants).map(|(f, x)| f * x).sum::<f64>();
+                let slope = &mut slope[c * nc..(c + 1) * nc];
+                combine_four(f, rows, slope);
+                // The swarm and the rows see the commanded tensions; what acts beside them moves the origin.
+                origin[c] += slope.iter().zip(inputs.disturbance).map(|(s, w)| s * w).sum::<f64>();
             }
-            self.pairs.origin[3 * k..3 * k + 3].copy_from_slice(origin.as_slice());
             let n = row.normal;
-            self.pairs.d[k] = row.distance + n.dot(&(origin - row.position)) - self.pairs.required[k];
-            let c = &mut self.pairs.c[k * nc..(k + 1) * nc];
+            let d = row.distance + n.dot(&(origin - row.position)) - required;
+            let c = &mut self.pairs.c[kept * nc..(kept + 1) * nc];
+            let mut least = d;
             for (j, c) in c.iter_mut().enumerate() {
                 *c = n[0] * slope[j] + n[1] * slope[nc + j] + n[2] * slope[2 * nc + j];
+                least += (*c * self.low[j]).min(*c * self.high[j]);
             }
+            // The distance to a convex obstacle is nowhere below its linearisation: this pair cannot matter.
+            if least > UNREACHED_M {
+                continue;
+            }
+            self.pairs.origin[3 * kept..3 * kept + 3].copy_from_slice(origin.as_slice());
+            self.pairs.d[kept] = d;
+            self.pairs.required.push(required);
+            self.pairs.length.push(inputs.ahead.as_slice()[row.obstacle].penalty_length());
+            self.pairs.rows[kept] = row;
+            kept += 1;
+        }
+        self.pairs.rows.truncate(kept);
+    }
+
+    /// A node's tangent as an affine function of the tensions, made once per node and iteration.
+    fn tangent_slope(&mut self, next: &State, node: usize) {
+        let nc = self.u.len();
+        if std::mem::replace(&mut self.tangent_known[node], true) || node == 0 {
+            return;
+        }
+        let jacobian = rotation_jacobians(&self.arm.pose(&next.q, node).1)[0];
+        let at = BLOCK * (node - 1) + 3;
+        for c in 0..3 {
+            let f: [f64; 4] = std::array::from_fn(|p| jacobian[(c, p)]);
+            self.tangent_origin[node][c] = (0..4).map(|p| f[p] * self.map.x0[at + p]).sum();
+            let out = &mut self.tangent[(3 * node + c) * nc..(3 * node + c + 1) * nc];
+            out.fill(0.0);
+            combine_four(f, std::array::from_fn(|p| self.map.row(at + p)), out);
         }
     }
+}
+
+/// `y += sum f_k x_k`.
+fn combine_four(f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
+    struct Four<'a>([f64; 4], [&'a [f64]; 4], &'a mut [f64]);
+    impl WithSimd for Four<'_> {
+        type Output = ();
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            add_four(simd, self.0, self.1, self.2);
+        }
+    }
+    Arch::new().dispatch(Four(f, x, y));
 }

@@ -14,6 +14,8 @@
 //! bounded, and it is the paper's.
 
 use crate::math::dense;
+use crate::math::simd::{add_scaled, dot};
+use pulp::{Arch, Simd, WithSimd};
 
 /// One problem; all slices row-major, n tensions, p rows.
 #[derive(Debug, Clone, Copy)]
@@ -233,24 +235,7 @@ impl Solver {
     }
 
     fn evaluate(&self, problem: &Problem<'_>, z: &[f64], force: &mut [f64]) {
-        let (n, p) = (self.n, self.row_of.len());
-        for i in 0..n {
-            let mut f = self.b[i];
-            for j in 0..n {
-                f += self.a[i * n + j] * z[j];
-            }
-            for k in 0..p {
-                f -= self.c[k * n + i] * z[n + k];
-            }
-            force[i] = f;
-        }
-        for k in 0..p {
-            let mut f = problem.d[self.row_of[k]] / self.row_scale[k] + COMPLIANCE * z[n + k];
-            for i in 0..n {
-                f += self.c[k * n + i] * z[i];
-            }
-            force[n + k] = f;
-        }
+        Arch::new().dispatch(Evaluation { solver: self, d: problem.d, z, force });
     }
 
     fn merit(&self, z: &[f64], force: &[f64]) -> f64 {
@@ -335,6 +320,35 @@ impl Solver {
                 worst.max(off)
             }
         })
+    }
+}
+
+/// [`Solver::evaluate`] with the processor's vectors: `F(z)` of the working set.
+struct Evaluation<'a> {
+    solver: &'a Solver,
+    d: &'a [f64],
+    z: &'a [f64],
+    force: &'a mut [f64],
+}
+
+impl WithSimd for Evaluation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { solver, d, z, force } = self;
+        let n = solver.n;
+        let (upper, lower) = force.split_at_mut(n);
+        upper.copy_from_slice(&solver.b);
+        // A is symmetric: its columns are its rows.
+        for j in 0..n {
+            add_scaled(simd, z[j], &solver.a[j * n..(j + 1) * n], upper);
+        }
+        for (k, &row) in solver.row_of.iter().enumerate() {
+            let c = &solver.c[k * n..(k + 1) * n];
+            add_scaled(simd, -z[n + k], c, upper);
+            lower[k] = d[row] / solver.row_scale[k] + COMPLIANCE * z[n + k] + dot(simd, c, &z[..n]);
+        }
     }
 }
 

@@ -8,7 +8,9 @@
 use super::problem::Quadratic;
 use crate::collision::{ObstacleSet, Proximity, penalty};
 use crate::config::SwarmConfig;
+use crate::math::simd::{Columns, Lanes, Scalars};
 use nalgebra::Vector3;
+use pulp::{Arch, Simd, WithSimd};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -22,6 +24,14 @@ pub enum Status {
     SweepsDone,
     /// The deadline came.
     BudgetSpent,
+}
+
+impl Report {
+    /// True where the search itself found its answer or confirmed a seed among its particles; false where a swarm that
+    /// knows no seeds found nothing as good as one: it then says nothing about that seed.
+    pub fn found(&self) -> bool {
+        !self.beaten
+    }
 }
 
 /// Report of a search.
@@ -39,6 +49,8 @@ pub struct Report {
     pub feasible: f64,
     /// Index of the seed that was never beaten, if one was not.
     pub seed: Option<usize>,
+    /// True where a seed that was not among the particles is better than all that they found.
+    beaten: bool,
 }
 
 /// Pairs as the swarm sees them: positions affine in the tensions.
@@ -82,7 +94,8 @@ pub struct Swarm {
     best_cost: Vec<f64>,
     cost: Vec<f64>,
     order: Vec<usize>,
-    product: Vec<f64>,
+    place: Vec<f64>,
+    infeasible: Vec<bool>,
     answer: Vec<f64>,
 }
 
@@ -102,7 +115,8 @@ impl Swarm {
             best_cost: vec![0.0; columns],
             cost: vec![0.0; columns],
             order: Vec::with_capacity(columns),
-            product: vec![0.0; columns * n.max(3)],
+            place: vec![0.0; 3 * columns],
+            infeasible: vec![false; columns],
             answer: vec![0.0; n],
         }
     }
@@ -149,6 +163,7 @@ impl Swarm {
             cost: f64::INFINITY,
             feasible: 0.0,
             seed: None,
+            beaten: false,
         };
         let mut stall = 0;
         self.best_cost[..m].fill(f64::INFINITY);
@@ -228,6 +243,7 @@ impl Swarm {
             if self.cost[j] < report.cost {
                 report.cost = self.cost[j];
                 report.seed = Some(j);
+                report.beaten = true;
                 for d in 0..self.n {
                     self.answer[d] = self.position[d * m + j];
                 }
@@ -267,52 +283,27 @@ impl Swarm {
 
     /// Costs (28) of all particles; returns how many are feasible.
     fn evaluate(&mut self, m: usize, quadratic: &Quadratic, pairs: &Pairs<'_>, nu: f64, strict: Option<f64>) -> usize {
-        let n = self.n;
-        self.cost[..m].fill(quadratic.c);
-        for i in 0..n {
-            let product = &mut self.product[..m];
-            product.fill(2.0 * quadratic.b[i]);
-            for k in 0..n {
-                axpy(quadratic.a[i * n + k], &self.position[k * m..(k + 1) * m], product);
-            }
-            for ((c, p), x) in self.cost[..m].iter_mut().zip(&*product).zip(&self.position[i * m..(i + 1) * m]) {
-                *c += p * x;
-            }
-        }
-        // `order` serves as the mark of infeasible particles until the selection needs it.
-        self.order.clear();
-        self.order.resize(m, 0);
-        for (r, row) in pairs.rows.iter().enumerate() {
-            let (xyz, _) = self.product.split_at_mut(3 * m);
-            for c in 0..3 {
-                let out = &mut xyz[c * m..(c + 1) * m];
-                out.fill(pairs.origin[3 * r + c]);
-                let slope = &pairs.slope[(3 * r + c) * n..(3 * r + c + 1) * n];
-                for k in 0..n {
-                    axpy(slope[k], &self.position[k * m..(k + 1) * m], out);
-                }
-            }
-            for j in 0..m {
-                let at = Vector3::new(xyz[j], xyz[m + j], xyz[2 * m + j]);
-                let d = pairs.obstacles.moved_distance(row, &at) - pairs.required[r];
-                if d < 0.0 {
-                    self.cost[j] += nu * penalty(d + pairs.clearance, pairs.clearance, pairs.length[r]).0;
-                    if d < -FEASIBLE_M {
-                        self.order[j] = 1;
-                    }
-                    if strict.is_some_and(|limit| -d > limit) {
-                        self.cost[j] = f64::INFINITY;
-                    }
-                }
-            }
-        }
-        // A cost that is not a number never wins, and never compares.
-        self.cost[..m].iter_mut().for_each(|c| {
-            if c.is_nan() {
-                *c = f64::INFINITY;
-            }
+        self.infeasible[..m].fill(false);
+        Arch::new().dispatch(Evaluation {
+            m,
+            position: &self.position[..self.n * m],
+            quadratic,
+            pairs,
+            nu,
+            strict,
+            cost: &mut self.cost[..m],
+            infeasible: &mut self.infeasible[..m],
+            place: &mut self.place,
         });
-        self.order.iter().filter(|&&mark| mark == 0).count()
+        let mut feasible = 0;
+        for (cost, infeasible) in self.cost[..m].iter_mut().zip(&self.infeasible) {
+            // A cost that is not a number never wins, and never compares.
+            if cost.is_nan() {
+                *cost = f64::INFINITY;
+            }
+            feasible += usize::from(!infeasible);
+        }
+        feasible
     }
 
     /// (29) for the best, (33)-(35) for the worst `chaotic` particles.
@@ -358,8 +349,147 @@ impl Swarm {
     }
 }
 
-fn axpy(f: f64, x: &[f64], y: &mut [f64]) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y += f * x;
+/// [`Swarm::evaluate`] with the processor's vectors.
+struct Evaluation<'a> {
+    m: usize,
+    position: &'a [f64],
+    quadratic: &'a Quadratic,
+    pairs: &'a Pairs<'a>,
+    nu: f64,
+    strict: Option<f64>,
+    cost: &'a mut [f64],
+    infeasible: &'a mut [bool],
+    /// Positions of one pair's point for all particles, coordinate by coordinate.
+    place: &'a mut [f64],
+}
+
+impl WithSimd for Evaluation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { m, position, quadratic, pairs, nu, strict, cost, infeasible, place } = self;
+        let mut j = 0;
+        while j < m {
+            j += if j + S::F64_LANES > m {
+                quadratic_cost(Scalars, quadratic, position, m, j, cost)
+            } else {
+                quadratic_cost(Lanes(simd), quadratic, position, m, j, cost)
+            };
+        }
+        let n = position.len() / m;
+        for (r, row) in pairs.rows.iter().enumerate() {
+            let origin = &pairs.origin[3 * r..3 * r + 3];
+            let slope = &pairs.slope[3 * r * n..3 * (r + 1) * n];
+            let mut j = 0;
+            while j < m {
+                j += if j + S::F64_LANES > m {
+                    place_points(Scalars, origin, slope, position, m, j, place)
+                } else {
+                    place_points(Lanes(simd), origin, slope, position, m, j, place)
+                };
+            }
+            let (x, yz) = place[..3 * m].split_at(m);
+            let (y, z) = yz.split_at(m);
+            let mut judge = |j: usize, d: f64| {
+                cost[j] += nu * penalty(d + pairs.clearance, pairs.clearance, pairs.length[r]).0;
+                infeasible[j] |= d < -FEASIBLE_M;
+                if strict.is_some_and(|limit| -d > limit) {
+                    cost[j] = f64::INFINITY;
+                }
+            };
+            match pairs.obstacles.ball(row) {
+                // Most points of most particles keep their distance: they need no root.
+                Some((centre, radius)) => {
+                    let least = radius + row.inflation + pairs.required[r];
+                    let least_squared = if least > 0.0 { least * least } else { 0.0 };
+                    for j in 0..m {
+                        let squared =
+                            (x[j] - centre[0]).powi(2) + (y[j] - centre[1]).powi(2) + (z[j] - centre[2]).powi(2);
+                        if squared < least_squared || squared.is_nan() {
+                            judge(j, squared.sqrt() - least);
+                        }
+                    }
+                }
+                None => {
+                    for j in 0..m {
+                        let at = Vector3::new(x[j], y[j], z[j]);
+                        let d = pairs.obstacles.moved_distance(row, &at) - pairs.required[r];
+                        if d < 0.0 {
+                            judge(j, d);
+                        }
+                    }
+                }
+            }
+        }
     }
+}
+
+/// Rows of A that are multiplied at once: each position is then read once for all of them.
+const ROWS: usize = 4;
+
+/// `c + x^T (A x + 2 b)` of the particles `j..`; returns how many were done.
+#[inline(always)]
+fn quadratic_cost<C: Columns>(
+    w: C,
+    quadratic: &Quadratic,
+    position: &[f64],
+    m: usize,
+    j: usize,
+    cost: &mut [f64],
+) -> usize {
+    let n = quadratic.b.len();
+    let mut total = w.splat(quadratic.c);
+    let mut i = 0;
+    while i < n {
+        let rows = ROWS.min(n - i);
+        let mut sum = [w.splat(0.0); ROWS];
+        // A last group of fewer rows repeats its last one and leaves the copies out.
+        let a: [&[f64]; ROWS] = std::array::from_fn(|k| {
+            let row = i + k.min(rows - 1);
+            &quadratic.a[row * n..(row + 1) * n]
+        });
+        for k in 0..rows {
+            sum[k] = w.splat(2.0 * quadratic.b[i + k]);
+        }
+        for d in 0..n {
+            let x = w.load(&position[d * m + j..]);
+            for k in 0..ROWS {
+                sum[k] = w.multiply_add(w.splat(a[k][d]), x, sum[k]);
+            }
+        }
+        for k in 0..rows {
+            total = w.multiply_add(w.load(&position[(i + k) * m + j..]), sum[k], total);
+        }
+        i += ROWS;
+    }
+    w.store(total, &mut cost[j..]);
+    C::WIDTH
+}
+
+/// `origin + slope x` of the particles `j..`; returns how many were done.
+#[inline(always)]
+fn place_points<C: Columns>(
+    w: C,
+    origin: &[f64],
+    slope: &[f64],
+    position: &[f64],
+    m: usize,
+    j: usize,
+    place: &mut [f64],
+) -> usize {
+    let n = slope.len() / 3;
+    let (sx, syz) = slope.split_at(n);
+    let (sy, sz) = syz.split_at(n);
+    let mut at = [w.splat(origin[0]), w.splat(origin[1]), w.splat(origin[2])];
+    for d in 0..n {
+        let u = w.load(&position[d * m + j..]);
+        at[0] = w.multiply_add(w.splat(sx[d]), u, at[0]);
+        at[1] = w.multiply_add(w.splat(sy[d]), u, at[1]);
+        at[2] = w.multiply_add(w.splat(sz[d]), u, at[2]);
+    }
+    for (c, at) in at.into_iter().enumerate() {
+        w.store(at, &mut place[c * m + j..]);
+    }
+    C::WIDTH
 }

@@ -243,7 +243,7 @@ impl Plant {
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
         let wire: Vec<WireFault> = wire.iter().map(|f| f.parse().unwrap()).collect();
         let server =
-            Server::open(&config, &settings, rig, schedule, None).unwrap().with_wire_faults(wire, settings.seed);
+            Server::open(&config, &settings, rig, schedule, None).unwrap().with_wire_faults(wire, settings.truth.seed);
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
         let thread = std::thread::spawn(move || server.run(&flag).unwrap());

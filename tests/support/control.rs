@@ -3,6 +3,9 @@
 #![allow(dead_code)] // each test binary uses its own part
 #![allow(clippy::unwrap_used)] // a rig that cannot be built fails its test
 
+#[path = "settings.rs"]
+mod planner_settings;
+
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::collision::Shape;
@@ -29,33 +32,21 @@ pub fn settings() -> Settings {
         reserve_s: 0.0002,
     };
     let planner = PlannerConfig {
-        lookahead_s: 0.1,
         period_s: PERIOD_S,
         newton_iterations_max: 2,
-        newton_tolerance: 1e-8,
-        warning: WarningBranch::Seeded,
-        avoidance: true,
         body: BodyModel::Arm,
         body_radius_m: 0.055,
         clearance_m: 0.01,
-        warning_distance_m: 0.01,
         warning_hysteresis_m: 0.005,
         barrier: Some(BarrierConfig { gamma: 0.3, activation_m: 0.15 }),
         swarm: SwarmConfig {
             particles_normal: 15,
             particles_uniform: 5,
-            sigma_n: 2.0,
-            chaotic_min: 2,
-            chaotic_max: 8,
-            inertia: [0.9, 0.4],
-            acceleration: [1.5, 1.5],
             sweeps_max: 4,
             stall_sweeps: 4,
-            tolerance: 0.0,
-            penalty: 1e12,
+            ..planner_settings::swarm_config()
         },
-        budget_s: None,
-        lead_s: None,
+        ..planner_settings::planner_config(WarningBranch::Seeded)
     };
     let weights = WeightsConfig {
         tip: TipWeights {
@@ -204,6 +195,7 @@ impl Plan for Told {
             iterations: 2,
             correction: 0.0,
             kkt_residual: 0.0,
+            optimal: true,
             relaxed: false,
             sweeps: 0,
             evaluations: 0,

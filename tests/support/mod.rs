@@ -2,6 +2,8 @@
 #![allow(dead_code)] // each test binary uses its own part
 
 pub mod arms;
+pub mod planning;
+pub mod settings;
 
 use serde_json::Value;
 use sinew::config::{ArmConfig, ChordRule, Routing, StrainRule};

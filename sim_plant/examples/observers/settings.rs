@@ -1,5 +1,8 @@
 //! What a run may vary, and the settings that follow from it.
 
+#[path = "../../../tests/support/settings.rs"]
+mod planner_settings;
+
 use crate::closed_loop::Settings;
 use crate::scenario::{Scenario, ScenarioName};
 use sinew::config::{ArmConfig, BarrierConfig, BodyModel, ObserverConfig, PlannerConfig, SwarmConfig, WarningBranch};
@@ -96,9 +99,6 @@ impl Choice {
             lookahead_s: self.lookahead,
             period_s: self.period,
             newton_iterations_max: self.iterations,
-            newton_tolerance: 1e-8,
-            warning: self.warning,
-            avoidance: true,
             body: if self.points { BodyModel::Points } else { BodyModel::Arm },
             body_radius_m: 0.0,
             clearance_m: self.clearance,
@@ -108,18 +108,14 @@ impl Choice {
             swarm: SwarmConfig {
                 particles_normal: 15,
                 particles_uniform: 5,
-                sigma_n: 2.0,
-                chaotic_min: 2,
-                chaotic_max: 8,
-                inertia: [0.9, 0.4],
-                acceleration: [1.5, 1.5],
                 sweeps_max: 10,
                 stall_sweeps: 3,
                 tolerance: 1e-6,
                 penalty: scenario.penalty(),
+                ..planner_settings::swarm_config()
             },
-            budget_s: None,
             lead_s: self.lead,
+            ..planner_settings::planner_config(self.warning)
         };
         // The shape example's lag is 20 s and its target stands still: nothing to lead.
         let lead = self.lead.unwrap_or(if scenario.is_tip() { lag } else { 0.0 });

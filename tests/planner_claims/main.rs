@@ -1,53 +1,42 @@
 //! What the planner promises whatever it is asked: optimal where it says so, bounded always, repeatable, never worse
 //! than its seeds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
+#[path = "../support/mod.rs"]
 mod support;
+mod swarm;
 
 use nalgebra::{Vector3, Vector4};
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::{Obstacle, ObstacleSet, Shape, penalty, pose};
+use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
 use sinew::config::{ArmConfig, BodyModel, ChordRule, PlannerConfig, Routing, ShapeConfig, StrainRule, SwarmConfig};
 use sinew::config::{BarrierConfig, WarningBranch};
 use sinew::integrator::{AffineMap, Scheme, Stepper, consistent_start, equilibrium};
 use sinew::model::{Arm, Motion, State};
-use sinew::planner::swarm::{Pairs, Swarm, Variant};
 use sinew::planner::{Branch, Goal, Inputs, Planner, Quadratic, Report, Status};
 use support::arms::*;
+use support::settings;
 
 const BRANCHES: [WarningBranch; 4] =
     [WarningBranch::Swarm, WarningBranch::Seeded, WarningBranch::Complementarity, WarningBranch::StandardSwarm];
 
 fn settings(warning: WarningBranch) -> PlannerConfig {
     PlannerConfig {
-        lookahead_s: 0.1,
-        period_s: 0.1,
         newton_iterations_max: 10,
-        newton_tolerance: 1e-8,
-        warning,
-        avoidance: true,
         body: BodyModel::Arm,
         body_radius_m: 0.02,
         clearance_m: 0.005,
-        warning_distance_m: 0.01,
         warning_hysteresis_m: 0.005,
         barrier: Some(BarrierConfig { gamma: 0.5, activation_m: 0.1 }),
         swarm: SwarmConfig {
             particles_normal: 15,
             particles_uniform: 5,
-            sigma_n: 2.0,
-            chaotic_min: 2,
-            chaotic_max: 8,
-            inertia: [0.9, 0.4],
-            acceleration: [1.5, 1.5],
             sweeps_max: 20,
             stall_sweeps: 20,
-            tolerance: 0.0,
-            penalty: 1e12,
+            ..settings::swarm_config()
         },
-        budget_s: None,
-        lead_s: None,
+        ..settings::planner_config(warning)
     }
 }
 
@@ -235,16 +224,54 @@ fn a_planner_without_time_still_gives_bounded_tensions_and_says_so() {
                     true
                 });
             assert_eq!(report.iterations, 1, "{what} {branch:?} {report:?}");
-            // A swarm that finds nothing better than what is applied has come to rest there.
+            // Also where the standard swarm finds nothing better than what is applied: resting there is no convergence.
             let rests = planner.tensions() == bench.u;
-            let want = if rests { Status::Converged } else { Status::BudgetSpent };
+            let want = if rests { Status::IterationLimit } else { Status::BudgetSpent };
             assert_eq!(report.status, want, "{what} {branch:?} {report:?}");
-            assert!(!rests || what == "near" && branch == WarningBranch::StandardSwarm);
+            assert_eq!(rests, what == "near" && branch == WarningBranch::StandardSwarm);
+            assert!(!(rests && report.optimal), "{what} {branch:?} {report:?}");
             assert!(report.sweeps <= 1 && asked.get() >= 1);
             assert!(report.cost.is_finite() && planner.planned().is_finite());
             assert_bounded(&planner, &bench.config);
         }
     }
+}
+
+#[test]
+fn the_newton_iterations_of_a_tick_are_a_setting_and_what_they_leave_is_reported_and_checked() {
+    let bench = Bench::paper();
+    let balls = bench.balls(0.028);
+    let goal = bench.goal(toward(&bench, &balls) * 0.03);
+    let plan = |iterations: usize, tolerance: f64| {
+        let mut planner = bench.planner(&PlannerConfig {
+            newton_iterations_max: iterations,
+            newton_tolerance: tolerance,
+            period_s: 0.01,
+            ..settings(WarningBranch::Complementarity)
+        });
+        let report = run(&mut planner, &inputs(&bench, goal, &balls), 1);
+        assert!(report.iterations <= iterations);
+        (report, planner.tensions().to_vec())
+    };
+    let (exact, optimum) = plan(40, 1e-8);
+    assert_eq!(exact.status, Status::Converged, "{exact:?}");
+    let off = |u: &[f64]| u.iter().zip(&optimum).fold(0.0f64, |a, (u, v)| a.max((u - v).abs()));
+    let mut last = f64::INFINITY;
+    let mut errors = Vec::new();
+    for iterations in 1..=3 {
+        let (report, u) = plan(iterations, 1e-8);
+        assert_eq!((report.status, report.iterations), (Status::IterationLimit, iterations), "{report:?}");
+        assert!(report.correction > 1e-8 && report.correction < last, "{report:?}, {last} before");
+        last = report.correction;
+        errors.push(off(&u));
+    }
+    // One is not enough near obstacles; the second brings what the third hardly betters.
+    assert!(errors[1] < 0.2 * errors[0], "{errors:?} N from the optimum");
+    assert!(errors[1] - errors[2] < 0.2 * (errors[0] - errors[1]), "{errors:?} N from the optimum");
+    // The check ends the loop as soon as what is left is below the tolerance.
+    let (loose, _) = plan(40, 2.0 * last);
+    assert_eq!(loose.status, Status::Converged);
+    assert!(loose.iterations <= 3 && loose.correction < 2.0 * last, "{loose:?}");
 }
 
 #[test]
@@ -405,168 +432,6 @@ fn last_tensions_that_are_not_numbers_give_the_least_tensions_and_say_so() {
         assert_eq!(planner.tensions()[3], 5.0);
         assert_bounded(&planner, &bench.config);
     }
-}
-
-/// The swarm's own problem at the start of a step: quadratic, pairs and bounds, made outside the planner.
-struct SwarmCase {
-    quadratic: Quadratic,
-    rows: Vec<sinew::collision::Proximity>,
-    required: Vec<f64>,
-    length: Vec<f64>,
-    origin: Vec<f64>,
-    slope: Vec<f64>,
-    balls: ObstacleSet,
-}
-
-impl SwarmCase {
-    fn new(bench: &Bench, config: &PlannerConfig) -> Self {
-        let balls = bench.balls(0.028);
-        let goal = bench.goal(toward(bench, &balls) * 0.05);
-        let rates = Scheme::new(bench.config.rho_inf).rates(0.1);
-        let (mut stepper, mut map) = (Stepper::new(&bench.arm), AffineMap::new(&bench.arm));
-        stepper.linearize(&bench.arm, &Motion::from(&bench.state), &bench.u, rates).unwrap();
-        stepper.affine_map_into(&mut map);
-        let mut quadratic = Quadratic::new(&bench.arm);
-        quadratic.build(&bench.arm, &bench.state, rates, &map, &goal, 1.0, &[1e4; 24], &bench.u);
-        let n = bench.arm.node_count();
-        let (mut r, mut t) = (vec![Vector3::zeros(); n + 1], vec![Vector3::zeros(); n + 1]);
-        bench.arm.frames_into(&bench.state.q, &mut r, &mut t);
-        let geometry = sinew::collision::BodyGeometry::from_arm(&bench.config);
-        let mut body = sinew::collision::Body::new(&geometry, config.body, config.body_radius_m);
-        let rows = body.find(&r, &t, &balls, 0.05).rows.to_vec();
-        assert!(rows.len() >= 2);
-        // Body points that follow their nodes' positions.
-        let (mut origin, mut slope) = (Vec::new(), Vec::new());
-        for row in &rows {
-            let at = 11 * row.point.element.max(1) - 11;
-            for c in 0..3 {
-                origin.push(row.position[c] + map.x0[at + c]);
-                slope.extend_from_slice(map.row(at + c));
-            }
-        }
-        let required = vec![config.clearance_m; rows.len()];
-        let length = vec![0.1; rows.len()];
-        Self { quadratic, rows, required, length, origin, slope, balls }
-    }
-
-    fn pairs(&self, clearance: f64) -> Pairs<'_> {
-        Pairs {
-            rows: &self.rows,
-            required: &self.required,
-            length: &self.length,
-            clearance,
-            origin: &self.origin,
-            slope: &self.slope,
-            obstacles: &self.balls,
-        }
-    }
-
-    /// (28), particle by particle.
-    fn cost(&self, clearance: f64, nu: f64, u: &[f64]) -> f64 {
-        let n = u.len();
-        let mut cost = self.quadratic.cost(u);
-        for (r, row) in self.rows.iter().enumerate() {
-            let at = Vector3::from_fn(|c, _| {
-                let slope = &self.slope[(3 * r + c) * n..(3 * r + c + 1) * n];
-                self.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
-            });
-            let d = self.balls.moved_distance(row, &at);
-            if d < self.required[r] {
-                cost += nu * penalty(d - self.required[r] + clearance, clearance, self.length[r]).0;
-            }
-        }
-        cost
-    }
-}
-
-#[test]
-fn the_swarms_answer_is_never_worse_than_any_seed_and_costs_what_it_says() {
-    let bench = Bench::paper();
-    let config = settings(WarningBranch::Swarm);
-    let case = SwarmCase::new(&bench, &config);
-    let (lower, upper) = (vec![0.0; 24], vec![220.0; 24]);
-    let mut swarm = Swarm::new(24, &config.swarm, 3);
-    let mut beaten = 0;
-    for seed in 0..40 {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let other: Vec<f64> = random_vector(&mut rng, 24, 30.0).iter().map(|u| u.abs()).collect();
-        let third: Vec<f64> = bench.u.iter().map(|u| 0.9 * u).collect();
-        let seeds: [&[f64]; 3] = [&bench.u, &other, &third];
-        for variant in [Variant::Improved, Variant::Standard] {
-            // From no time at all to many sweeps.
-            for sweeps in [1usize, 2, 10] {
-                let mut left = sweeps;
-                let report = swarm.search(
-                    variant,
-                    &config.swarm,
-                    &case.quadratic,
-                    &case.pairs(config.clearance_m),
-                    &lower,
-                    &upper,
-                    &seeds,
-                    None,
-                    &mut rng,
-                    &mut || {
-                        left -= 1;
-                        left == 0
-                    },
-                );
-                assert_eq!(report.sweeps, sweeps);
-                let own = case.cost(config.clearance_m, config.swarm.penalty, swarm.answer());
-                assert!((own / report.cost - 1.0).abs() < 1e-9, "{own} {report:?}");
-                for s in seeds {
-                    let cost = case.cost(config.clearance_m, config.swarm.penalty, s);
-                    assert!(report.cost <= cost * (1.0 + 1e-12), "{variant:?} seed {seed}: {report:?} for {cost}");
-                }
-                assert!(swarm.answer().iter().all(|u| (0.0..=220.0).contains(u)));
-                beaten += usize::from(report.seed.is_none());
-            }
-        }
-    }
-    assert!(beaten > 20, "the swarm finds better than its seeds: {beaten}");
-}
-
-#[test]
-fn a_swarm_that_must_be_strict_never_undercuts_a_seed_that_keeps_its_distance() {
-    let bench = Bench::paper();
-    let config = settings(WarningBranch::Seeded);
-    let case = SwarmCase::new(&bench, &config);
-    let soft = SwarmConfig { penalty: 0.0, ..config.swarm };
-    let mut swarm = Swarm::new(24, &config.swarm, 3);
-    let violation = |u: &[f64]| {
-        (0..case.rows.len()).fold(0.0f64, |worst, r| {
-            let at = Vector3::from_fn(|c, _| {
-                let slope = &case.slope[(3 * r + c) * 24..(3 * r + c + 1) * 24];
-                case.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
-            });
-            worst.max(case.required[r] - case.balls.moved_distance(&case.rows[r], &at))
-        })
-    };
-    let mut tempted = 0;
-    for seed in 0..20 {
-        for strict in [None, Some(1e-9)] {
-            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-            // Without a penalty only strictness keeps the distance.
-            swarm.search(
-                Variant::Improved,
-                &soft,
-                &case.quadratic,
-                &case.pairs(config.clearance_m),
-                &[0.0; 24],
-                &[220.0; 24],
-                &[&bench.u, &bench.u],
-                strict,
-                &mut rng,
-                &mut || false,
-            );
-            let worst = violation(swarm.answer());
-            match strict {
-                None => tempted += usize::from(worst > 1e-6),
-                Some(limit) => assert!(worst <= limit + 1e-12, "seed {seed}: {worst}"),
-            }
-        }
-    }
-    assert!(tempted > 0, "the soft optimum lies inside an obstacle");
 }
 
 proptest! {
