@@ -211,6 +211,8 @@ impl Server {
                     if Message::of(&frame) == Some(Message::Sync) {
                         heard_ns = monotonic_ns();
                         self.on_lockstep_sync(index)?;
+                        // The others' turn: where SYNCs have piled up, one of each bus is a period, not each of this one.
+                        break;
                     } else {
                         self.wires[index].bank.on_frame(&frame, self.now_ns);
                         self.flush();
