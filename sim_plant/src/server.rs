@@ -291,6 +291,10 @@ impl Server {
                         None if !period => break,
                         None => {}
                     }
+                    if period {
+                        // The others' turn: where SYNCs have piled up, one of each bus is a period, not each of this one.
+                        break;
+                    }
                 }
             }
             // One period at a time, so that a SYNC that comes after all is served between two of them.

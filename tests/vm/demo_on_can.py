@@ -69,7 +69,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("binaries")
     parser.add_argument("interfaces", nargs="+")
-    parser.add_argument("--duration", type=float, default=4.0, help="seconds of the scenario, after its approach of 4 s")
+    parser.add_argument("--duration", type=float, default=1.0, help="seconds of the scenario, after its approach of 4 s")
     arguments = parser.parse_args()
     interfaces = arguments.interfaces
     print(f"Linux {os.uname().release}, {len(interfaces)} bus(es): {', '.join(interfaces)}", flush=True)
