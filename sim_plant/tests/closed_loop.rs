@@ -36,7 +36,7 @@ fn two_runs_with_one_seed_are_the_same_bit_for_bit() {
 #[test]
 fn the_first_evasion_of_the_tip_example_keeps_clear_with_every_plant() {
     for seed in 1..=2 {
-        let o = tip(Case::Obstacles, 10.0, |_| (), seed);
+        let o = tip(Case::Wide, 10.0, |_| (), seed);
         assert_eq!(o.failed, None);
         // 10 mm of clearance less what the estimate errs by; design section 6 had 13.5 mm of estimate error at best.
         assert!(o.distance_arm.0 > 5e-3 && o.distance_arm.0 < 20e-3, "seed {seed}: {}", o.line());

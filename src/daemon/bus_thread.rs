@@ -344,8 +344,9 @@ impl BusThread {
         }
         if lockstep && Message::of(&received.frame) == Some(Message::Time) {
             // Nothing more comes of this cycle: what is missing is missing, as it is at a tick's deadline in real time.
+            // Which one is said by the SYNC before it on the same bus: on another one the next may have begun.
             let cycle = self.decoder.cycle();
-            self.lines[bus].over = cycle;
+            self.lines[bus].over = self.decoder.bus_cycle(bus);
             return (cycle > self.published && self.lines.iter().all(|line| line.over == cycle)).then_some(cycle);
         }
         let sync_before_ns = self.decoder.sync_ns();

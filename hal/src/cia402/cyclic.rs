@@ -256,6 +256,12 @@ impl Decoder {
         self.cycle
     }
 
+    /// The cycle of the last SYNC on one bus, 0 before the first and for a bus that there is not: while another bus has
+    /// the next one already, it is the older of both.
+    pub fn bus_cycle(&self, bus: usize) -> u64 {
+        self.bus_cycle.get(bus).copied().unwrap_or(0)
+    }
+
     /// Receive time of the first SYNC of this cycle (ns).
     pub fn sync_ns(&self) -> u64 {
         self.sync_ns
