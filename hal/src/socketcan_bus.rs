@@ -1,6 +1,8 @@
 //! The kernel's CAN sockets (SocketCAN): classic and FD, error frames, loss of the bus and the return from it.
 //!
-//! Enters and leaves: [`Frame`]s, received ones with the kernel's time of arrival moved to CLOCK_MONOTONIC.
+//! Enters and leaves: [`Frame`]s, received ones with the kernel's time of arrival moved to CLOCK_MONOTONIC. In the first
+//! milliseconds after the first socket on a machine asks for stamps the kernel does not make them yet: a frame that came
+//! then carries the time at which it was read.
 //! - Sending never blocks. While the kernel's transmit queue is full (ENOBUFS, EAGAIN) frames wait in a bounded queue of
 //!   this handle, in order, and go out at its next call of any method that sends or receives; when that queue is full
 //!   as well, the frame is refused. Losing the bus empties the queue: an old command must not come out of it later.

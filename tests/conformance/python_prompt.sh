@@ -2,7 +2,7 @@
 # Types what sim_plant/PYTHON.md shows at a Python prompt, against a plant of its own, and compares what is printed.
 #
 # usage: tests/conformance/python_prompt.sh
-# SINEW_PLANT names a built sim_plant, SINEW_CONFORMANCE_PYTHON an interpreter that has the packages already.
+# SINEW_PLANT names a built sim_plant; ./python says where the packages come from.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 target="${CARGO_TARGET_DIR:-target}"
@@ -11,16 +11,7 @@ if [ -z "$plant" ]; then
     cargo build -q -p sim_plant
     plant="$target/debug/sim_plant"
 fi
-python="${SINEW_CONFORMANCE_PYTHON:-}"
-if [ -z "$python" ]; then
-    venv="$target/conformance-venv"
-    if [ ! -x "$venv/bin/python" ] || ! cmp -s tests/conformance/requirements.txt "$venv/requirements.txt"; then
-        python3 -m venv "$venv"
-        "$venv/bin/pip" install -q --disable-pip-version-check -r tests/conformance/requirements.txt
-        cp tests/conformance/requirements.txt "$venv/requirements.txt"
-    fi
-    python="$venv/bin/python"
-fi
+python=$(tests/conformance/python)
 folder=$(mktemp -d)
 pid=""
 trap '[ -z "$pid" ] || { kill "$pid" 2>/dev/null || true; wait "$pid" 2>/dev/null || true; }; rm -rf "$folder"' EXIT

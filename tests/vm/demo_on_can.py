@@ -31,6 +31,8 @@ def kind_of(identifier):
         return "SYNC", 0
     if identifier == 0x000:
         return "NMT", 0
+    if identifier == 0x100:
+        return "TIME", 0
     names = {0x080: "EMCY", 0x180: "TPDO1", 0x200: "RPDO1", 0x580: "SDO answer", 0x600: "SDO request", 0x700: "heartbeat"}
     return names.get(function, f"0x{function:03X}"), node
 
@@ -53,7 +55,7 @@ def judge_frames(path, interfaces, ticks):
     each = DRIVES // len(interfaces)
     for interface in interfaces:
         seen, of_node = count[interface], nodes[interface]
-        known = {"SYNC", "NMT", "TPDO1", "RPDO1", "SDO answer", "SDO request", "heartbeat"}
+        known = {"SYNC", "TIME", "NMT", "TPDO1", "RPDO1", "SDO answer", "SDO request", "heartbeat"}
         arm.require(set(seen) <= known, f"{interface}: unexpected frames: {set(seen) - known}")
         arm.require(seen["SYNC"] >= ticks, f"{interface}: {seen['SYNC']} SYNC in {ticks} ticks")
         for node in range(1, each + 1):
