@@ -93,7 +93,7 @@ fn tolerates(wire: &[&str]) -> Run {
     let run = record(&place, plant.stop());
     assert!(run.served.disturbed > 0, "no frame was hit");
     assert_eq!(run.stopped(), None);
-    let last = run.ticks.iter().filter(|t| t.tick < 800).next_back().unwrap();
+    let last = run.ticks.iter().rfind(|t| t.tick < 800).unwrap();
     assert!(last.tick > run.zero + 100, "the run goes on after the faults");
     assert_eq!(last.mode, SupervisorState::Holding.wire());
     run

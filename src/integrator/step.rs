@@ -117,7 +117,7 @@ impl Stepper {
     /// `next` receives the state; it is left at the last iterate when the iteration limit is reached, which the
     /// report tells.
     ///
-    /// It stops at a correction `|dq|` below [`TOLERANCE`], or where the next one is sure to be: Newton's corrections
+    /// It stops at a correction `|dq|` below 1e-8, or where the next one is sure to be: Newton's corrections
     /// square, so the one after `d1` and `d2` is about `d2^3/d1^2`. Where that is a tenth of the tolerance, the iterate is
     /// already better than the tolerance asks, and an iteration that only confirms it (a third of a step's time) is left
     /// out.
