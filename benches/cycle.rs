@@ -22,7 +22,7 @@ use sinew::control::*;
 use sinew::estimator::Observer;
 use sinew::integrator::{AffineMap, Scheme, Stepper};
 use sinew::model::{Arm, Motion, State};
-use sinew::planner::{Branch, Goal, Inputs, Planner, Report, Status};
+use sinew::planner::{Branch, Deadline, Goal, Inputs, Planner, Report, Status};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -182,9 +182,9 @@ struct Tally {
 }
 
 impl Plan for Shared {
-    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report {
         let (planner, tally) = &mut *self.inner.borrow_mut();
-        let report = planner.plan(inputs, rng, stop);
+        let report = planner.plan(inputs, rng, deadline);
         self.u.copy_from_slice(planner.tensions());
         tally.last = Some(report);
         report
@@ -219,10 +219,12 @@ struct Clock {
 }
 
 impl Deadline for Clock {
-    fn is_over(&mut self) -> bool {
-        self.begin.elapsed() >= self.until
+    fn used(&mut self) -> f64 {
+        self.begin.elapsed().as_secs_f64() / self.until.as_secs_f64()
     }
+}
 
+impl StopWatch for Clock {
     fn mark(&mut self, phase: Phase) {
         self.marks[phase as usize] = self.begin.elapsed();
     }
