@@ -22,7 +22,7 @@ use sinew::collision::{Body, BodyGeometry, penalty};
 use sinew::config::WarningBranch;
 use sinew::integrator::{Scheme, Stepper};
 use sinew::model::State;
-use sinew::planner::Branch;
+use sinew::planner::{Branch, Deadline};
 use std::time::{Duration, Instant};
 use support::planning::{PlanCase, plan_cases};
 
@@ -37,6 +37,18 @@ const BUDGETS_US: [u64; 13] = [10, 50, 100, 150, 200, 300, 500, 700, 1_000, 2_00
 const REPEATS: u64 = 7;
 /// Gaps below this are drawn at it: they are rounding.
 const GAP_MIN: f64 = 1e-9;
+
+/// The deadline of one plan.
+struct Until {
+    begin: Instant,
+    until: Duration,
+}
+
+impl Deadline for Until {
+    fn used(&mut self) -> f64 {
+        self.begin.elapsed().as_secs_f64() / self.until.as_secs_f64()
+    }
+}
 
 /// What one plan came to.
 struct Sample {
@@ -66,7 +78,7 @@ fn main() {
                     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
                     let until = Duration::from_micros(*budget);
                     let begin = Instant::now();
-                    let report = case.plan(&mut planner, &mut rng, &mut || begin.elapsed() >= until);
+                    let report = case.plan(&mut planner, &mut rng, &mut Until { begin, until });
                     let time_us = begin.elapsed().as_nanos() as f64 / 1e3;
                     let cost = judge.cost(case, planner.tensions());
                     least = least.min(cost);

@@ -9,7 +9,7 @@ use rig::*;
 use sinew::collision::Shape;
 use sinew::config::ShapeConfig;
 use sinew::control::*;
-use sinew::planner::{Branch, Inputs, Report};
+use sinew::planner::{Branch, Deadline, Inputs, Report};
 
 #[global_allocator]
 static GUARD: AllocDisabler = AllocDisabler;
@@ -95,9 +95,9 @@ fn ten_thousand_ticks_of_the_cycle_do_not_allocate() {
 struct Wasteful(Told);
 
 impl Plan for Wasteful {
-    fn plan(&mut self, i: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
+    fn plan(&mut self, i: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report {
         self.0.tensions = self.0.tensions.clone();
-        self.0.plan(i, rng, stop)
+        self.0.plan(i, rng, deadline)
     }
 
     fn tensions(&self) -> &[f64] {

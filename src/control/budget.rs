@@ -2,6 +2,7 @@
 
 use super::settings::seconds_to_ns;
 use crate::config::LoopConfig;
+use crate::planner::Deadline;
 
 /// A part of the tick, for the caller's stop watch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,20 +15,14 @@ pub enum Phase {
     Guard,
 }
 
-/// The caller's clock, as far as the cycle may know it. Every `FnMut() -> bool` is one.
-pub trait Deadline {
-    /// Whether the time for planning is over.
-    fn is_over(&mut self) -> bool;
-
+/// The caller's clock, as far as the cycle may know it: the planner's deadline, and told of the tick's parts. Every
+/// `FnMut() -> bool` is one, which says whether the time for planning is over.
+pub trait StopWatch: Deadline {
     /// Told when a part of the tick has ended.
     fn mark(&mut self, _phase: Phase) {}
 }
 
-impl<F: FnMut() -> bool> Deadline for F {
-    fn is_over(&mut self) -> bool {
-        self()
-    }
-}
+impl<F: FnMut() -> bool> StopWatch for F {}
 
 /// Time that the planner may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

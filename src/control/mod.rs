@@ -29,7 +29,7 @@ pub mod settings;
 pub mod supervisor;
 pub mod target;
 
-pub use budget::{Budget, Deadline, Phase};
+pub use budget::{Budget, Phase, StopWatch};
 pub use cycle::{Cycle, Plan, TickInputs, TickOutput};
 pub use estimator::{Estimate, Estimator, EstimatorFailure};
 pub use event::{Event, EventKind, EventRing};

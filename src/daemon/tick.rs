@@ -7,12 +7,13 @@ use super::obstacles::PairReader;
 use super::records;
 use crate::config::{Config, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, Deadline, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request, StopWatch,
     Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
 use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
+use crate::planner::Deadline;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
@@ -113,15 +114,20 @@ pub(crate) struct Parts<E> {
 
 /// Reads the clock at the ends of the tick's parts, and tells the planner when its time is over.
 struct Watch {
+    began_ns: u64,
     until_ns: Option<u64>,
     marks_ns: [u64; 3],
 }
 
 impl Deadline for Watch {
-    fn is_over(&mut self) -> bool {
-        self.until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns)
+    fn used(&mut self) -> f64 {
+        let Some(until_ns) = self.until_ns else { return 0.0 };
+        let budget_ns = until_ns.saturating_sub(self.began_ns);
+        if budget_ns == 0 { 1.0 } else { monotonic_ns().saturating_sub(self.began_ns) as f64 / budget_ns as f64 }
     }
+}
 
+impl StopWatch for Watch {
     fn mark(&mut self, phase: Phase) {
         self.marks_ns[phase as usize] = monotonic_ns();
     }
@@ -177,7 +183,7 @@ impl<E: Estimator> Controller<E> {
         let (request, command) = self.next_request(stop, &drives, demand, target.is_some_and(|t| t.fresh));
         let began_ns = monotonic_ns();
 
-        let mut watch = Watch { until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
+        let mut watch = Watch { began_ns, until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
         let inputs = TickInputs {
             tick: time.tick,
             now_ns,

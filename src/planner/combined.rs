@@ -4,6 +4,7 @@
 //! and warning subspace (17), solve there, move the iterate. Dynamics and optimisation converge together.
 
 use super::complementarity::{self, Problem, Solver};
+use super::deadline::{Deadline, Shares};
 use super::problem::{Goal, Quadratic, tension_cost};
 use super::swarm::{Pairs, Swarm, Variant};
 use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, penalty, required_distance};
@@ -265,14 +266,12 @@ impl Planner {
         cost
     }
 
-    /// Plans one step. `stop` tells whether the time is over; it is asked once per Newton iteration and per sweep.
-    /// Does not allocate.
-    pub fn plan(
-        &mut self,
-        inputs: &Inputs<'_>,
-        rng: &mut Xoshiro256PlusPlus,
-        stop: &mut dyn FnMut() -> bool,
-    ) -> Report {
+    /// Plans one step. `deadline` is asked at the begin of each Newton iteration, when it is linearised and when it
+    /// ends, and after each piece of work in between: a Newton iteration of the complementarity problem, a sweep. Every
+    /// iteration but the last allowed one may use half of what is left, and none is begun whose linearisation would not
+    /// fit. After the end at most one such piece of work follows in each branch. Does not allocate.
+    pub fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report {
+        let mut shares = Shares::new(deadline);
         let eta = self.config.lookahead_s;
         let rates = self.scheme.rates(eta);
         let mut next = std::mem::take(&mut self.next);
@@ -306,6 +305,7 @@ impl Planner {
             report.status = Status::Singular;
         }
         while report.status != Status::Singular && report.iterations < self.config.newton_iterations_max {
+            shares.begin(report.iterations, self.config.newton_iterations_max);
             if obstacles {
                 self.watch(&next, inputs, &mut report);
             }
@@ -328,8 +328,10 @@ impl Planner {
                 report.status = Status::Singular;
                 break;
             }
+            shares.prepared();
+            let stop: &mut dyn FnMut() -> bool = &mut || shares.iteration_is_over();
             match report.branch {
-                Branch::Safe => self.solve_safe(&mut report),
+                Branch::Safe => self.solve_safe(stop, &mut report),
                 Branch::Warning => self.solve_warning(&next, inputs, rng, stop, &mut report),
             }
             for i in 0..self.u.len() {
@@ -358,7 +360,7 @@ impl Planner {
                     break;
                 }
             }
-            if stop() {
+            if shares.is_over() {
                 report.status = Status::BudgetSpent;
                 break;
             }
@@ -421,10 +423,10 @@ impl Planner {
         }
     }
 
-    fn solve_safe(&mut self, report: &mut Report) {
+    fn solve_safe(&mut self, stop: &mut dyn FnMut() -> bool, report: &mut Report) {
         let problem =
             Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
-        let solved = self.solver.solve(&problem, &mut self.u);
+        let solved = self.solver.solve(&problem, &mut self.u, stop);
         report.kkt_residual = solved.kkt_residual;
         report.optimal = solved.status == complementarity::Status::Optimal;
     }
@@ -453,10 +455,8 @@ impl Planner {
                 c: &self.pairs.c[..rows * nc],
                 d: &self.pairs.d[..rows],
             };
-            // Bounded by its iterations, not by the deadline: half a working set would be an answer that ignores the
-            // other half of the obstacles.
-            let solved = self.solver.solve(&problem, &mut self.candidate);
-            report.optimal = solved.status != complementarity::Status::IterationLimit;
+            let solved = self.solver.solve(&problem, &mut self.candidate, stop);
+            report.optimal = solved.status.is_optimal();
             report.kkt_residual = solved.kkt_residual;
             report.relaxed = solved.status == complementarity::Status::Relaxed;
             if branch == WarningBranch::Complementarity {
@@ -469,7 +469,9 @@ impl Planner {
                     -(self.pairs.d[r] + c.iter().zip(&self.candidate).map(|(c, u)| c * u).sum::<f64>())
                 })
                 .fold(0.0f64, f64::max);
-            strict = Some(violation + 1e-9);
+            // A candidate that was not solved to its end may ignore rows: a seed like any other, no measure of what can
+            // be kept.
+            strict = solved.status.is_optimal().then_some(violation + 1e-9);
         } else {
             report.kkt_residual = f64::NAN;
             report.optimal = true;

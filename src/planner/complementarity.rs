@@ -10,6 +10,11 @@
 //! rows that matter. Rows enter only when a solution without them violates them: adjacent points of an arm give nearly
 //! equal rows, and a Newton on all of them would be needlessly large and badly conditioned.
 //!
+//! Anytime: the caller's `stop` is asked after every Newton iteration. An answer that is not known to be optimal (stopped,
+//! or at the iteration limit) may ignore rows that were not yet in the working set; it is therefore never taken unseen
+//! but compared with the start and with the answers of the smaller working sets, all by the cost with the penalty of
+//! *all* rows ([`Solver::penalized`]), and the best of them is the answer.
+//!
 //! An exact active-set method would do as well on 24 unknowns; this one warm-starts from any point, its iterations are
 //! bounded, and it is the paper's.
 
@@ -41,8 +46,18 @@ pub enum Status {
     Optimal,
     /// Optimal for the L1 penalty: some row stays violated, because no tensions satisfy all of them.
     Relaxed,
-    /// The iteration limit came first; the answer is inside the box, its residual is reported.
+    /// The iteration limit came first; the answer is inside the box and no worse than the start, its residual is
+    /// reported.
     IterationLimit,
+    /// The caller's `stop` came first; the answer as for the iteration limit.
+    Stopped,
+}
+
+impl Status {
+    /// Whether no further iteration would change the answer.
+    pub const fn is_optimal(self) -> bool {
+        matches!(self, Self::Optimal | Self::Relaxed)
+    }
 }
 
 /// Report of a solve.
@@ -53,7 +68,7 @@ pub struct Report {
     /// Newton iterations, all working sets together.
     pub iterations: usize,
     /// Largest entry of the natural residual `z - mid(l, h, z - F)`, each equation scaled by its diagonal, over the
-    /// size of the problem; zero at a solution.
+    /// size of the problem; zero at a solution. Of the last iterate, also where an earlier one is the answer.
     pub kkt_residual: f64,
     /// Rows in the last working set.
     pub rows: usize,
@@ -83,6 +98,8 @@ pub struct Solver {
     trial: Vec<f64>,
     used: Vec<bool>,
     multipliers: Vec<f64>,
+    /// Best answer so far by the penalized cost.
+    best: Vec<f64>,
 }
 
 /// Stop: the natural residual over the problem's size.
@@ -120,6 +137,7 @@ impl Solver {
             trial: vec![0.0; m],
             used: vec![false; rows],
             multipliers: vec![0.0; rows],
+            best: vec![0.0; n],
         }
     }
 
@@ -131,11 +149,12 @@ impl Solver {
         &self.multipliers
     }
 
-    /// Solves from the start `u`, which receives the answer, inside the box always. Does not allocate.
+    /// Solves from the start `u`, which receives the answer, inside the box always. `stop` is asked after every Newton
+    /// iteration and never again once it said yes. Does not allocate.
     ///
     /// # Panics
     /// If the problem has more rows than the solver has room for.
-    pub fn solve(&mut self, problem: &Problem<'_>, u: &mut [f64]) -> Report {
+    pub fn solve(&mut self, problem: &Problem<'_>, u: &mut [f64], stop: &mut dyn FnMut() -> bool) -> Report {
         let (n, p) = (self.n, problem.d.len());
         assert!(p <= self.capacity, "{p} rows, room for {}", self.capacity);
         for i in 0..n {
@@ -155,18 +174,31 @@ impl Solver {
         self.multipliers[..p].fill(0.0);
         self.row_of.clear();
         let mut report = Report { status: Status::Optimal, iterations: 0, kkt_residual: 0.0, rows: 0 };
-        loop {
-            let (iterations, residual) = self.newton(problem, size);
+        for i in 0..n {
+            self.best[i] = u[i].clamp(problem.lower[i], problem.upper[i]);
+        }
+        let mut best = self.penalized(problem, &self.best);
+        let mut stopped = false;
+        let left_out = loop {
+            let (iterations, residual) = self.newton(problem, size, stop, &mut stopped);
             report.iterations += iterations;
             // Over an infinite size everything would be small.
             report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
             for i in 0..n {
                 u[i] = (self.z[i] * self.scale[i]).clamp(problem.lower[i], problem.upper[i]);
             }
-            if !self.add_violated(problem, u) {
-                break;
+            let cost = self.penalized(problem, u);
+            // Anything that is a number is better than what is not.
+            if cost < best || best.is_nan() {
+                best = cost;
+                self.best.copy_from_slice(u);
             }
-        }
+            // Stopped, a solution of the working set is one of the problem only where no row is left out.
+            let left_out = self.add_violated(problem, u);
+            if stopped || !left_out {
+                break left_out;
+            }
+        };
         report.rows = self.row_of.len();
         let mut relaxed = false;
         for (k, &row) in self.row_of.iter().enumerate() {
@@ -179,9 +211,10 @@ impl Solver {
         };
         relaxed |= (0..p).any(|r| !self.used[r] && value(r) < -1e-9);
         // Not `>`: a residual that is not a number is no optimum.
-        let optimal = report.kkt_residual <= 1e-9;
+        let optimal = report.kkt_residual <= 1e-9 && !left_out;
         report.status = if !optimal {
-            Status::IterationLimit
+            u.copy_from_slice(&self.best);
+            if stopped { Status::Stopped } else { Status::IterationLimit }
         } else if relaxed {
             Status::Relaxed
         } else {
@@ -227,11 +260,37 @@ impl Solver {
             self.row_scale[k] = size;
             self.z[n + k] = 0.0;
             self.low[n + k] = 0.0;
-            let gradient = self.b.iter().fold(1.0f64, |s, v| s.max(v.abs()));
-            self.high[n + k] = self.penalty * gradient;
+            self.high[n + k] = self.multiplier_max();
             added += 1;
         }
         added > 0
+    }
+
+    /// What the last solve minimised, at any tensions: the quadratic plus the L1 penalty of all rows, in the working set
+    /// or not. Does not allocate.
+    pub fn penalized(&self, problem: &Problem<'_>, u: &[f64]) -> f64 {
+        let n = self.n;
+        let product = |row: &[f64]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+        let cost: f64 = (0..n).map(|i| u[i] * (product(&problem.a[i * n..(i + 1) * n]) + 2.0 * problem.b[i])).sum();
+        let violation: f64 = (0..problem.d.len())
+            .map(|row| {
+                let c = &problem.c[row * n..(row + 1) * n];
+                let value = problem.d[row] + product(c);
+                if value < 0.0 { -value / self.row_size(c) } else { 0.0 }
+            })
+            .sum();
+        cost + 2.0 * self.multiplier_max() * violation
+    }
+
+    /// Length of a row in scaled tensions; a row that no tension moves counts by its depth alone.
+    fn row_size(&self, c: &[f64]) -> f64 {
+        let size = c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt();
+        if size == 0.0 { 1.0 } else { size }
+    }
+
+    /// M, the bound of the multipliers.
+    fn multiplier_max(&self) -> f64 {
+        self.penalty * self.b.iter().fold(1.0f64, |s, v| s.max(v.abs()))
     }
 
     fn evaluate(&self, problem: &Problem<'_>, z: &[f64], force: &mut [f64]) {
@@ -243,7 +302,13 @@ impl Solver {
     }
 
     /// Semismooth Newton on the working set; returns iterations and the natural residual.
-    fn newton(&mut self, problem: &Problem<'_>, size: f64) -> (usize, f64) {
+    fn newton(
+        &mut self,
+        problem: &Problem<'_>,
+        size: f64,
+        stop: &mut dyn FnMut() -> bool,
+        stopped: &mut bool,
+    ) -> (usize, f64) {
         let m = self.n + self.row_of.len();
         let mut force = std::mem::take(&mut self.force);
         let mut trial = std::mem::take(&mut self.trial);
@@ -300,6 +365,11 @@ impl Solver {
             }
             std::mem::swap(&mut z, &mut trial);
             residual = self.natural(&z[..m], &force[..m]);
+            // Every solve may make one step, whatever the time: a machine that is always late moves all the same.
+            *stopped = stop();
+            if *stopped {
+                break;
+            }
         }
         self.force = force;
         self.trial = trial;
@@ -441,7 +511,7 @@ mod tests {
             let case = random(24, 0, seed);
             let mut solver = Solver::new(24, 0);
             let mut u = vec![0.0; 24];
-            let report = solver.solve(&case.problem(), &mut u);
+            let report = solver.solve(&case.problem(), &mut u, &mut || false);
             assert_eq!(report.status, Status::Optimal, "seed {seed} {report:?}");
             assert!(kkt(&case, &u, &[]) < 1e-8, "seed {seed} {report:?} {}", kkt(&case, &u, &[]));
             most = most.max(report.iterations);
@@ -460,7 +530,7 @@ mod tests {
             }
             let mut solver = Solver::new(24, 16);
             let mut u = vec![110.0; 24];
-            let report = solver.solve(&case.problem(), &mut u);
+            let report = solver.solve(&case.problem(), &mut u, &mut || false);
             assert_eq!(report.status, Status::Optimal, "seed {seed} {report:?}");
             assert!(kkt(&case, &u, solver.multipliers()) < 1e-6, "seed {seed} {report:?}");
         }
@@ -473,7 +543,7 @@ mod tests {
         case.c = [vec![1.0, 0.0, 0.0, 0.0, 0.0, 0.0], vec![-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]].concat();
         case.d = vec![-100.0, 50.0];
         let mut u = vec![0.0; 6];
-        let report = Solver::new(6, 2).solve(&case.problem(), &mut u);
+        let report = Solver::new(6, 2).solve(&case.problem(), &mut u, &mut || false);
         assert_eq!(report.status, Status::Relaxed, "{report:?}");
         assert!(u[0] > 49.9 && u[0] < 100.1, "{u:?}");
         assert!(u.iter().all(|v| (0.0..=220.0).contains(v)));
@@ -485,10 +555,63 @@ mod tests {
             let mut case = random(6, 0, 3);
             case.b[2] = entry;
             let mut u = vec![10.0; 6];
-            let report = Solver::new(6, 0).solve(&case.problem(), &mut u);
+            let report = Solver::new(6, 0).solve(&case.problem(), &mut u, &mut || false);
             assert_eq!(report.status, Status::IterationLimit, "{entry}: {report:?}");
             assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "{entry}: {u:?}");
         }
+    }
+
+    /// Many rows of which a random start violates most, and rows that contradict each other.
+    fn hard(seed: u64) -> Case {
+        let n = 24;
+        let mut case = random(n, 60, seed);
+        if seed % 2 == 1 {
+            for row in 0..20 {
+                let opposite: Vec<f64> = case.c[row * n..(row + 1) * n].iter().map(|c| -c).collect();
+                case.c.extend(opposite);
+                case.d.push(-case.d[row] - 0.01);
+            }
+        }
+        case
+    }
+
+    #[test]
+    fn a_solve_that_is_stopped_anywhere_is_bounded_and_no_worse_than_its_start() {
+        let (mut stopped, mut gained) = (0, 0);
+        for seed in 0..12 {
+            let case = hard(seed);
+            let problem = case.problem();
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+            let start: Vec<f64> = (0..24).map(|_| rng.random_range(0.0..220.0)).collect();
+            let mut solver = Solver::new(24, 80);
+            let (mut least, mut last) = (f64::INFINITY, f64::INFINITY);
+            for k in (0..12).chain([20, 30, 50, 80, 120, 200, usize::MAX]) {
+                let (mut asked, mut late) = (0, 0);
+                let mut u = start.clone();
+                let report = solver.solve(&problem, &mut u, &mut || {
+                    late += usize::from(asked > k);
+                    asked += 1;
+                    asked > k
+                });
+                let (before, after) = (solver.penalized(&problem, &start), solver.penalized(&problem, &u));
+                assert!(after <= before * (1.0 + 1e-12 * before.signum()), "seed {seed} k {k}: {after} from {before}");
+                assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "seed {seed} k {k}: {u:?}");
+                assert_eq!(late, 0, "seed {seed} k {k}: asked after the end");
+                // The iteration after which it was said is the last.
+                assert_eq!(report.iterations, asked, "seed {seed} k {k}: {report:?}");
+                assert!(report.iterations <= k.saturating_add(1), "seed {seed} k {k}: {report:?}");
+                if !report.status.is_optimal() && asked > k {
+                    assert_eq!(report.status, Status::Stopped);
+                    stopped += 1;
+                    gained += usize::from(after < before);
+                }
+                least = least.min(after);
+                last = after;
+            }
+            // No stopped answer is better than the solved one.
+            assert!(last <= least + 1e-6 * least.abs(), "seed {seed}: {last}, {least} on the way");
+        }
+        assert!(stopped > 60 && gained > 30, "{stopped} stops, {gained} of them with a better answer");
     }
 
     #[test]
@@ -496,8 +619,8 @@ mod tests {
         let case = random(24, 0, 9);
         let mut solver = Solver::new(24, 0);
         let mut u = vec![0.0; 24];
-        solver.solve(&case.problem(), &mut u);
-        let again = solver.solve(&case.problem(), &mut u.clone());
+        solver.solve(&case.problem(), &mut u, &mut || false);
+        let again = solver.solve(&case.problem(), &mut u.clone(), &mut || false);
         assert!(again.iterations <= 1, "{again:?}");
     }
 }

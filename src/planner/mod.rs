@@ -6,10 +6,12 @@
 
 mod combined;
 pub mod complementarity;
+mod deadline;
 mod problem;
 mod start;
 pub mod swarm;
 
 pub use combined::{Branch, Inputs, PAIRS_MAX, Planner, Report, Status};
+pub use deadline::Deadline;
 pub use problem::{Goal, Quadratic};
 pub use start::{StartError, tip_start};

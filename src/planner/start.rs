@@ -66,7 +66,7 @@ pub fn tip_start(
         quadratic.build(arm, state, Rates::STATIC, &map, &goal, 1.0, &still, &still);
         let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[] };
         wanted.copy_from_slice(&u);
-        solver.solve(&problem, &mut wanted);
+        solver.solve(&problem, &mut wanted, &mut || false);
         map.evaluate_into(&wanted, &mut dx);
         let largest =
             (0..arm.node_count()).flat_map(|i| &dx[BLOCK * i..BLOCK * i + 7]).fold(0.0f64, |a, x| a.max(x.abs()));

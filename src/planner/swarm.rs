@@ -11,7 +11,7 @@ use crate::config::SwarmConfig;
 use crate::math::simd::{Columns, Lanes, Scalars};
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
-use rand::RngExt;
+use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -97,6 +97,16 @@ pub struct Swarm {
     place: Vec<f64>,
     infeasible: Vec<bool>,
     answer: Vec<f64>,
+    /// Triangle of the quadratic.
+    upper: Vec<f64>,
+    chaotic: Vec<bool>,
+    bits: Vec<u64>,
+}
+
+/// Distance of the rows of a matrix with `m` particles: whole vectors, so that none is left over to be done one by one.
+/// The columns between are moved and costed along, and never looked at.
+const fn stride(m: usize) -> usize {
+    m.next_multiple_of(4)
 }
 
 /// Largest violation (m) of a distance that still counts as feasible.
@@ -106,18 +116,22 @@ impl Swarm {
     /// Room for `n` tensions, the configured particles and `seeds`. Allocates.
     pub fn new(n: usize, config: &SwarmConfig, seeds: usize) -> Self {
         let columns = config.particles_normal + config.particles_uniform + seeds;
+        let stride = stride(columns);
         Self {
             n,
             columns,
-            position: vec![0.0; n * columns],
-            velocity: vec![0.0; n * columns],
-            best: vec![0.0; n * columns],
+            position: vec![0.0; n * stride],
+            velocity: vec![0.0; n * stride],
+            best: vec![0.0; n * stride],
             best_cost: vec![0.0; columns],
-            cost: vec![0.0; columns],
+            cost: vec![0.0; stride],
             order: Vec::with_capacity(columns),
-            place: vec![0.0; 3 * columns],
-            infeasible: vec![false; columns],
+            place: vec![0.0; 3 * stride],
+            infeasible: vec![false; stride],
             answer: vec![0.0; n],
+            upper: vec![0.0; n * n],
+            chaotic: vec![false; stride],
+            bits: vec![0; stride],
         }
     }
 
@@ -153,8 +167,10 @@ impl Swarm {
             Variant::Improved => (random + seeds.len(), &[][..]),
             Variant::Standard => (random, seeds),
         };
+        self.fold(quadratic);
         self.initialise(m, variant, config, lower, upper, seeds, rng);
 
+        let stride = stride(m);
         let mut global = (f64::INFINITY, usize::MAX);
         let mut report = Report {
             status: Status::SweepsDone,
@@ -177,13 +193,13 @@ impl Swarm {
                 if self.cost[j] < self.best_cost[j] {
                     self.best_cost[j] = self.cost[j];
                     for d in 0..n {
-                        self.best[d * m + j] = self.position[d * m + j];
+                        self.best[d * stride + j] = self.position[d * stride + j];
                     }
                     if self.cost[j] < global.0 {
                         global = (self.cost[j], j);
                         report.seed = (report.sweeps == 0 && j >= random).then(|| j - random);
                         for d in 0..n {
-                            self.answer[d] = self.position[d * m + j];
+                            self.answer[d] = self.position[d * stride + j];
                         }
                     }
                 }
@@ -232,9 +248,10 @@ impl Swarm {
         report: &mut Report,
     ) {
         let m = seeds.len();
+        let stride = stride(m);
         for (j, seed) in seeds.iter().enumerate() {
             for d in 0..self.n {
-                self.position[d * m + j] = seed[d].clamp(lower[d], upper[d]);
+                self.position[d * stride + j] = seed[d].clamp(lower[d], upper[d]);
             }
         }
         self.evaluate(m, quadratic, pairs, nu, strict);
@@ -245,7 +262,7 @@ impl Swarm {
                 report.seed = Some(j);
                 report.beaten = true;
                 for d in 0..self.n {
-                    self.answer[d] = self.position[d * m + j];
+                    self.answer[d] = self.position[d * stride + j];
                 }
             }
         }
@@ -263,10 +280,12 @@ impl Swarm {
         rng: &mut Xoshiro256PlusPlus,
     ) {
         let random = config.particles_normal + config.particles_uniform;
+        let stride = stride(m);
         for d in 0..self.n {
-            let row = &mut self.position[d * m..(d + 1) * m];
+            let row = &mut self.position[d * stride..(d + 1) * stride];
             let span = upper[d] - lower[d];
-            for (j, x) in row.iter_mut().enumerate() {
+            row[m..].fill(lower[d]);
+            for (j, x) in row[..m].iter_mut().enumerate() {
                 *x = if j >= random {
                     seeds[j - random][d]
                 } else if variant == Variant::Improved && j < config.particles_normal {
@@ -278,21 +297,29 @@ impl Swarm {
                 *x = x.clamp(lower[d], upper[d]);
             }
         }
-        self.velocity[..self.n * m].fill(0.0);
+        self.velocity[..self.n * stride].fill(0.0);
+        // Where no cost is a number, nothing of an earlier search may show.
+        self.best[..self.n * stride].copy_from_slice(&self.position[..self.n * stride]);
+        for (d, seed) in seeds[0].iter().enumerate() {
+            self.answer[d] = seed.clamp(lower[d], upper[d]);
+        }
     }
 
     /// Costs (28) of all particles; returns how many are feasible.
     fn evaluate(&mut self, m: usize, quadratic: &Quadratic, pairs: &Pairs<'_>, nu: f64, strict: Option<f64>) -> usize {
+        let stride = stride(m);
         self.infeasible[..m].fill(false);
         Arch::new().dispatch(Evaluation {
             m,
-            position: &self.position[..self.n * m],
+            stride,
+            position: &self.position[..self.n * stride],
+            upper: &self.upper,
             quadratic,
             pairs,
             nu,
             strict,
-            cost: &mut self.cost[..m],
-            infeasible: &mut self.infeasible[..m],
+            cost: &mut self.cost[..stride],
+            infeasible: &mut self.infeasible[..stride],
             place: &mut self.place,
         });
         let mut feasible = 0;
@@ -319,6 +346,7 @@ impl Swarm {
     ) {
         let progress = sweep as f64 / config.sweeps_max as f64;
         let inertia = config.inertia[0] + progress * (config.inertia[1] - config.inertia[0]);
+        let stride = stride(m);
         self.order.clear();
         self.order.extend(0..m);
         let first = m - chaotic;
@@ -326,37 +354,85 @@ impl Swarm {
             let cost = &self.cost;
             self.order.select_nth_unstable_by(first, |&a, &b| cost[a].total_cmp(&cost[b]).then(a.cmp(&b)));
         }
-        for (place, &j) in self.order.iter().enumerate() {
-            for d in 0..self.n {
-                let k = d * m + j;
-                let (low, high) = (lower[d], upper[d]);
-                if place < first {
-                    let (t1, t2) = (rng.random::<f64>(), rng.random::<f64>());
-                    let x = self.position[k];
-                    let v = inertia * self.velocity[k]
-                        + config.acceleration[0] * t1 * (self.best[k] - x)
-                        + config.acceleration[1] * t2 * (self.answer[d] - x);
-                    let next = (x + v).clamp(low, high);
-                    // A particle stopped by the wall loses the speed that carried it there.
-                    self.velocity[k] = next - x;
-                    self.position[k] = next;
-                } else if high > low {
-                    let p = (self.position[k] - low) / (high - low);
-                    self.position[k] = (low + 4.0 * p * (1.0 - p) * (high - low)).clamp(low, high);
-                }
+        self.chaotic[..stride].fill(false);
+        for &j in &self.order[first..] {
+            self.chaotic[j] = true;
+        }
+        Arch::new().dispatch(Advance { swarm: self, stride, inertia, config, lower, upper, rng });
+    }
+
+    /// The triangle U with `u^T U u = u^T A u`: half the products of the symmetric matrix.
+    fn fold(&mut self, quadratic: &Quadratic) {
+        let n = self.n;
+        for i in 0..n {
+            let (row, a) = (&mut self.upper[i * n..(i + 1) * n], &quadratic.a[i * n..(i + 1) * n]);
+            row[..i].fill(0.0);
+            row[i] = a[i];
+            for d in i + 1..n {
+                row[d] = a[d] + quadratic.a[d * n + i];
             }
         }
     }
 }
 
+/// [`Swarm::advance`] with the processor's vectors, tension by tension.
+struct Advance<'a> {
+    swarm: &'a mut Swarm,
+    stride: usize,
+    inertia: f64,
+    config: &'a SwarmConfig,
+    lower: &'a [f64],
+    upper: &'a [f64],
+    rng: &'a mut Xoshiro256PlusPlus,
+}
+
+impl WithSimd for Advance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { swarm, stride, inertia, config, lower, upper, rng } = self;
+        let [own, social] = config.acceleration;
+        let (chaotic, bits) = (&swarm.chaotic[..stride], &mut swarm.bits[..stride]);
+        for d in 0..swarm.n {
+            let row = d * stride..(d + 1) * stride;
+            bits.iter_mut().for_each(|b| *b = rng.next_u64());
+            let (low, high, answer) = (lower[d], upper[d], swarm.answer[d]);
+            let span = high - low;
+            let inverse = if span > 0.0 { 1.0 / span } else { 0.0 };
+            let columns = swarm.position[row.clone()].iter_mut().zip(&mut swarm.velocity[row.clone()]);
+            for (((x, v), best), (bits, chaotic)) in columns.zip(&swarm.best[row]).zip(bits.iter().zip(chaotic)) {
+                // One number of the source is both of (29): 32 bits each are more than the search can tell.
+                let (t1, t2) = (unit(*bits >> 32), unit(*bits & 0xffff_ffff));
+                let moved = *x + inertia * *v + own * t1 * (*best - *x) + social * t2 * (answer - *x);
+                let moved = moved.max(low).min(high);
+                let p = (*x - low) * inverse;
+                let jumped = (low + 4.0 * p * (1.0 - p) * span).max(low).min(high);
+                // A particle stopped by the wall loses the speed that carried it there.
+                *v = if *chaotic { *v } else { moved - *x };
+                *x = if *chaotic { jumped } else { moved };
+            }
+        }
+    }
+}
+
+/// Uniform in [0, 1) from 32 bits.
+#[inline(always)]
+fn unit(bits: u64) -> f64 {
+    f64::from_bits((bits << 20) | 1.0f64.to_bits()) - 1.0
+}
+
 /// [`Swarm::evaluate`] with the processor's vectors.
 struct Evaluation<'a> {
     m: usize,
+    stride: usize,
     position: &'a [f64],
+    upper: &'a [f64],
     quadratic: &'a Quadratic,
     pairs: &'a Pairs<'a>,
     nu: f64,
     strict: Option<f64>,
+    /// `stride` entries, as `infeasible`.
     cost: &'a mut [f64],
     infeasible: &'a mut [bool],
     /// Positions of one pair's point for all particles, coordinate by coordinate.
@@ -368,29 +444,32 @@ impl WithSimd for Evaluation<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { m, position, quadratic, pairs, nu, strict, cost, infeasible, place } = self;
+        let Self { m, stride, position, upper, quadratic, pairs, nu, strict, cost, infeasible, place } = self;
+        let (w, step) = (Lanes(simd), S::F64_LANES);
+        let n = position.len() / stride;
         let mut j = 0;
-        while j < m {
-            j += if j + S::F64_LANES > m {
-                quadratic_cost(Scalars, quadratic, position, m, j, cost)
-            } else {
-                quadratic_cost(Lanes(simd), quadratic, position, m, j, cost)
+        while j < stride {
+            j += match (stride - j) / step {
+                0 => quadratic_cost::<_, 1>(Scalars, upper, quadratic, position, stride, j, cost),
+                1 => quadratic_cost::<_, 1>(w, upper, quadratic, position, stride, j, cost),
+                2 => quadratic_cost::<_, 2>(w, upper, quadratic, position, stride, j, cost),
+                _ => quadratic_cost::<_, 3>(w, upper, quadratic, position, stride, j, cost),
             };
         }
-        let n = position.len() / m;
         for (r, row) in pairs.rows.iter().enumerate() {
             let origin = &pairs.origin[3 * r..3 * r + 3];
             let slope = &pairs.slope[3 * r * n..3 * (r + 1) * n];
             let mut j = 0;
-            while j < m {
-                j += if j + S::F64_LANES > m {
-                    place_points(Scalars, origin, slope, position, m, j, place)
-                } else {
-                    place_points(Lanes(simd), origin, slope, position, m, j, place)
+            while j < stride {
+                j += match (stride - j) / step {
+                    0 => place_points::<_, 1>(Scalars, origin, slope, position, stride, j, place),
+                    1 => place_points::<_, 1>(w, origin, slope, position, stride, j, place),
+                    2 => place_points::<_, 2>(w, origin, slope, position, stride, j, place),
+                    _ => place_points::<_, 3>(w, origin, slope, position, stride, j, place),
                 };
             }
-            let (x, yz) = place[..3 * m].split_at(m);
-            let (y, z) = yz.split_at(m);
+            let (x, yz) = place[..3 * stride].split_at_mut(stride);
+            let (y, z) = yz.split_at(stride);
             let mut judge = |j: usize, d: f64| {
                 cost[j] += nu * penalty(d + pairs.clearance, pairs.clearance, pairs.length[r]).0;
                 infeasible[j] |= d < -FEASIBLE_M;
@@ -403,10 +482,12 @@ impl WithSimd for Evaluation<'_> {
                 Some((centre, radius)) => {
                     let least = radius + row.inflation + pairs.required[r];
                     let least_squared = if least > 0.0 { least * least } else { 0.0 };
-                    for j in 0..m {
-                        let squared =
-                            (x[j] - centre[0]).powi(2) + (y[j] - centre[1]).powi(2) + (z[j] - centre[2]).powi(2);
-                        if squared < least_squared || squared.is_nan() {
+                    for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
+                        let (dx, dy, dz) = (*x - centre[0], *y - centre[1], *z - centre[2]);
+                        *x = dx * dx + dy * dy + dz * dz;
+                    }
+                    for (j, squared) in x[..m].iter().enumerate() {
+                        if *squared < least_squared || squared.is_nan() {
                             judge(j, squared.sqrt() - least);
                         }
                     }
@@ -428,68 +509,81 @@ impl WithSimd for Evaluation<'_> {
 /// Rows of A that are multiplied at once: each position is then read once for all of them.
 const ROWS: usize = 4;
 
-/// `c + x^T (A x + 2 b)` of the particles `j..`; returns how many were done.
+/// `c + x^T (U x + 2 b)` of `B` vectors of particles from `j` on, with U the triangle of [`Swarm::fold`]; returns how
+/// many were done. Several vectors at once share each entry of U.
 #[inline(always)]
-fn quadratic_cost<C: Columns>(
+fn quadratic_cost<C: Columns, const B: usize>(
     w: C,
+    upper: &[f64],
     quadratic: &Quadratic,
     position: &[f64],
-    m: usize,
+    stride: usize,
     j: usize,
     cost: &mut [f64],
 ) -> usize {
     let n = quadratic.b.len();
-    let mut total = w.splat(quadratic.c);
+    let mut total = [w.splat(quadratic.c); B];
     let mut i = 0;
     while i < n {
         let rows = ROWS.min(n - i);
-        let mut sum = [w.splat(0.0); ROWS];
         // A last group of fewer rows repeats its last one and leaves the copies out.
         let a: [&[f64]; ROWS] = std::array::from_fn(|k| {
             let row = i + k.min(rows - 1);
-            &quadratic.a[row * n..(row + 1) * n]
+            &upper[row * n..(row + 1) * n]
         });
-        for k in 0..rows {
-            sum[k] = w.splat(2.0 * quadratic.b[i + k]);
-        }
-        for d in 0..n {
-            let x = w.load(&position[d * m + j..]);
+        let mut sum: [[C::Value; B]; ROWS] =
+            std::array::from_fn(|k| [w.splat(2.0 * quadratic.b[i + k.min(rows - 1)]); B]);
+        for d in i..n {
+            let at = &position[d * stride + j..d * stride + j + B * C::WIDTH];
+            let x: [C::Value; B] = std::array::from_fn(|v| w.load(&at[v * C::WIDTH..]));
             for k in 0..ROWS {
-                sum[k] = w.multiply_add(w.splat(a[k][d]), x, sum[k]);
+                let f = w.splat(a[k][d]);
+                for v in 0..B {
+                    sum[k][v] = w.multiply_add(f, x[v], sum[k][v]);
+                }
             }
         }
         for k in 0..rows {
-            total = w.multiply_add(w.load(&position[(i + k) * m + j..]), sum[k], total);
+            for v in 0..B {
+                let x = w.load(&position[(i + k) * stride + j + v * C::WIDTH..]);
+                total[v] = w.multiply_add(x, sum[k][v], total[v]);
+            }
         }
         i += ROWS;
     }
-    w.store(total, &mut cost[j..]);
-    C::WIDTH
+    for v in 0..B {
+        w.store(total[v], &mut cost[j + v * C::WIDTH..]);
+    }
+    B * C::WIDTH
 }
 
-/// `origin + slope x` of the particles `j..`; returns how many were done.
+/// `origin + slope x` of `B` vectors of particles from `j` on; returns how many were done.
 #[inline(always)]
-fn place_points<C: Columns>(
+fn place_points<C: Columns, const B: usize>(
     w: C,
     origin: &[f64],
     slope: &[f64],
     position: &[f64],
-    m: usize,
+    stride: usize,
     j: usize,
     place: &mut [f64],
 ) -> usize {
     let n = slope.len() / 3;
-    let (sx, syz) = slope.split_at(n);
-    let (sy, sz) = syz.split_at(n);
-    let mut at = [w.splat(origin[0]), w.splat(origin[1]), w.splat(origin[2])];
+    let mut at: [[C::Value; B]; 3] = std::array::from_fn(|c| [w.splat(origin[c]); B]);
     for d in 0..n {
-        let u = w.load(&position[d * m + j..]);
-        at[0] = w.multiply_add(w.splat(sx[d]), u, at[0]);
-        at[1] = w.multiply_add(w.splat(sy[d]), u, at[1]);
-        at[2] = w.multiply_add(w.splat(sz[d]), u, at[2]);
+        let row = &position[d * stride + j..d * stride + j + B * C::WIDTH];
+        let u: [C::Value; B] = std::array::from_fn(|v| w.load(&row[v * C::WIDTH..]));
+        for c in 0..3 {
+            let f = w.splat(slope[c * n + d]);
+            for v in 0..B {
+                at[c][v] = w.multiply_add(f, u[v], at[c][v]);
+            }
+        }
     }
-    for (c, at) in at.into_iter().enumerate() {
-        w.store(at, &mut place[c * m + j..]);
+    for c in 0..3 {
+        for v in 0..B {
+            w.store(at[c][v], &mut place[c * stride + j + v * C::WIDTH..]);
+        }
     }
-    C::WIDTH
+    B * C::WIDTH
 }

@@ -4,7 +4,7 @@ use super::goals::{Course, CourseError};
 use crate::collision::{Body, BodyGeometry, ObstacleSet};
 use crate::config::{ScenarioConfig, WarningBranch};
 use crate::model::{Outputs, State};
-use crate::planner::{Goal, Inputs, Planner, Report, Status};
+use crate::planner::{Deadline, Goal, Inputs, Planner, Report, Status};
 use crate::report::{Collector, Tick, tip_error};
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -52,6 +52,19 @@ pub struct Run {
     steps: u64,
     total: u64,
     seed: u64,
+}
+
+/// Time of one step on the caller's clock (ns); without a budget none is ever used.
+struct Elapsed<'a> {
+    clock: &'a mut dyn FnMut() -> u64,
+    begin: u64,
+    budget_ns: Option<f64>,
+}
+
+impl Deadline for Elapsed<'_> {
+    fn used(&mut self) -> f64 {
+        self.budget_ns.map_or(0.0, |budget_ns| ((self.clock)() - self.begin) as f64 / budget_ns)
+    }
 }
 
 impl Run {
@@ -178,7 +191,7 @@ impl Run {
         self.course.place(&mut self.now, t - eta);
         self.course.place(&mut self.ahead, t);
         let begin = clock();
-        let deadline = self.planner.config().budget_s.map(|b| begin + (b * 1e9) as u64);
+        let budget_ns = self.planner.config().budget_s.map(|b| b * 1e9);
         let inputs = Inputs {
             state: &self.state,
             u_previous: &self.u,
@@ -187,7 +200,7 @@ impl Run {
             now: &self.now,
             ahead: &self.ahead,
         };
-        let report = self.planner.plan(&inputs, &mut self.rng, &mut || deadline.is_some_and(|d| clock() >= d));
+        let report = self.planner.plan(&inputs, &mut self.rng, &mut Elapsed { clock, begin, budget_ns });
         let plan_ns = clock() - begin;
         self.u.copy_from_slice(self.planner.tensions());
         self.state.copy_from(self.planner.planned());

@@ -1,6 +1,7 @@
 //! What the planner promises whatever it is asked: optimal where it says so, bounded always, repeatable, never worse
 //! than its seeds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
+mod stops;
 #[path = "../support/mod.rs"]
 mod support;
 mod swarm;
@@ -224,11 +225,12 @@ fn a_planner_without_time_still_gives_bounded_tensions_and_says_so() {
                     true
                 });
             assert_eq!(report.iterations, 1, "{what} {branch:?} {report:?}");
-            // Also where the standard swarm finds nothing better than what is applied: resting there is no convergence.
+            // Where the standard swarm finds nothing better than what is applied, resting is no convergence.
             let rests = planner.tensions() == bench.u;
-            let want = if rests { Status::IterationLimit } else { Status::BudgetSpent };
+            let stands = what == "near" && branch == WarningBranch::StandardSwarm;
+            let want = if stands { Status::IterationLimit } else { Status::BudgetSpent };
             assert_eq!(report.status, want, "{what} {branch:?} {report:?}");
-            assert_eq!(rests, what == "near" && branch == WarningBranch::StandardSwarm);
+            assert!(rests || !stands);
             assert!(!(rests && report.optimal), "{what} {branch:?} {report:?}");
             assert!(report.sweeps <= 1 && asked.get() >= 1);
             assert!(report.cost.is_finite() && planner.planned().is_finite());

@@ -13,7 +13,7 @@ use sinew::config::*;
 use sinew::control::*;
 use sinew::integrator::{Scheme, Stepper};
 use sinew::model::{Arm, State};
-use sinew::planner::{Branch, Inputs, Planner, Report, Status};
+use sinew::planner::{Branch, Deadline, Inputs, Planner, Report, Status};
 
 pub const PERIOD_S: f64 = 0.01;
 pub const PERIOD_NS: u64 = 10_000_000;
@@ -184,7 +184,7 @@ impl Told {
 }
 
 impl Plan for Told {
-    fn plan(&mut self, _: &Inputs<'_>, _: &mut Xoshiro256PlusPlus, _: &mut dyn FnMut() -> bool) -> Report {
+    fn plan(&mut self, _: &Inputs<'_>, _: &mut Xoshiro256PlusPlus, _: &mut dyn Deadline) -> Report {
         self.calls += 1;
         if let Some((_, value)) = self.poison.filter(|(from, _)| self.calls >= *from) {
             self.tensions[3] = value;

@@ -9,7 +9,7 @@ use serde_json::Value;
 use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
 use sinew::config::{ArmConfig, PlannerConfig, ShapeConfig, SwarmConfig, WarningBranch};
 use sinew::model::{Arm, State};
-use sinew::planner::{Goal, Inputs, Planner, Report};
+use sinew::planner::{Deadline, Goal, Inputs, Planner, Report};
 
 /// Final curvatures of the shape example (44).
 pub const SHAPE: [f64; 8] = [0.806, 0.806, -2.417, 0.0, -1.611, -2.417, -1.611, -2.417];
@@ -112,8 +112,8 @@ impl PlanCase {
         }
     }
 
-    pub fn plan(&self, planner: &mut Planner, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
-        planner.plan(&self.inputs(), rng, stop)
+    pub fn plan(&self, planner: &mut Planner, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report {
+        planner.plan(&self.inputs(), rng, deadline)
     }
 }
 

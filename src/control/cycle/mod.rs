@@ -5,7 +5,7 @@
 
 mod report;
 
-use super::budget::{Deadline, Phase};
+use super::budget::{Phase, StopWatch};
 use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
 use super::friction::FrictionCompensation;
@@ -22,14 +22,14 @@ use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
 use crate::model::{Arm, State};
-use crate::planner::{Goal, Inputs, Planner, Report, Status};
+use crate::planner::{Deadline, Goal, Inputs, Planner, Report, Status};
 use nalgebra::{Vector3, Vector4};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// What the cycle needs of a planner, so that a test can put a broken one in its place.
 pub trait Plan {
     /// Plans one step, see [`Planner::plan`]. Must not allocate.
-    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report;
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report;
 
     /// Tensions of the last plan (N), one per cable.
     fn tensions(&self) -> &[f64];
@@ -41,8 +41,8 @@ pub trait Plan {
 }
 
 impl Plan for Planner {
-    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, stop: &mut dyn FnMut() -> bool) -> Report {
-        Self::plan(self, inputs, rng, stop)
+    fn plan(&mut self, inputs: &Inputs<'_>, rng: &mut Xoshiro256PlusPlus, deadline: &mut dyn Deadline) -> Report {
+        Self::plan(self, inputs, rng, deadline)
     }
 
     fn tensions(&self) -> &[f64] {
@@ -259,7 +259,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         &mut self,
         inputs: &TickInputs<'_>,
         rng: &mut Xoshiro256PlusPlus,
-        deadline: &mut impl Deadline,
+        deadline: &mut impl StopWatch,
     ) -> TickOutput {
         let mut faults = FaultList::default();
         let mut limits = Limits::default();
@@ -431,7 +431,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         decision: &Decision,
         limits: &mut Limits,
         rng: &mut Xoshiro256PlusPlus,
-        deadline: &mut impl Deadline,
+        deadline: &mut impl StopWatch,
     ) -> Option<Report> {
         let begin_ns = inputs.now_ns.saturating_sub(self.period_ns);
         if !matches!(decision.action, Action::Ramp | Action::Tighten) {
@@ -500,7 +500,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         wanted: &Wanted,
         limits: &mut Limits,
         rng: &mut Xoshiro256PlusPlus,
-        deadline: &mut impl Deadline,
+        deadline: &mut impl StopWatch,
     ) -> Report {
         let weights = &self.settings.weights;
         let (planner, goal) = match wanted {
@@ -529,7 +529,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 ahead: inputs.obstacles.ahead(),
             },
             rng,
-            &mut || deadline.is_over(),
+            deadline,
         );
         if report.status == Status::Singular {
             self.singular_in_row += 1;
