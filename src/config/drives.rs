@@ -99,7 +99,7 @@ pub struct DrivesConfig {
     pub heartbeat_s: f64,
     /// Time without a heartbeat after which the other side is dead (s).
     pub heartbeat_timeout_s: f64,
-    /// Time without SYNC after which a drive goes to its safe torque (s).
+    /// Time without SYNC, or without torques, after which a drive goes to its safe torque (s).
     pub sync_timeout_s: f64,
     /// Cable tension that a drive holds when its master is dead (N).
     pub safe_tension_n: f64,
@@ -132,7 +132,7 @@ pub static DRIVES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.002, 10.0)),
             "s",
             "0.1",
-            "Time without SYNC after which a drive goes to its safe tension; at least two periods of the loop.",
+            "Time without SYNC (guard 2000:01), or without torques (event timer 1400:05 of the RPDO, in whole milliseconds, rounded up), after which a drive goes to its safe tension; at least two periods of the loop.",
         ),
         Key::default(
             "safe_tension_n",

@@ -83,6 +83,8 @@ pub fn script(config: &MasterConfig, index: usize) -> Vec<Step> {
     let tpdo = u32::from(drive.node.cob(TPDO)) | COB_NO_RTR;
     pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, u32::from(rpdo), &rpdo_mapping);
     pdo(&mut steps, o::TPDO_COMMUNICATION, o::TPDO_MAPPING, tpdo, &o::TPDO1);
+    // Written at 0, too: a drive may have kept another value over the reset.
+    steps.push(optional(o::RPDO_COMMUNICATION, o::EVENT_TIMER, &config.rpdo_timeout_ms.to_le_bytes()));
 
     steps.push(write(o::MAX_TORQUE, 0, &drive.torque_permille_max.to_le_bytes()));
     steps.push(write(o::TARGET_TORQUE, 0, &0i16.to_le_bytes()));
