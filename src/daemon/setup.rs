@@ -136,6 +136,8 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
     master.drive_heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.drive_heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
+    master.sdo_timeout_ms = milliseconds(drives.sdo_timeout_s).into();
+    master.boot_timeout_ms = (1e3 * drives.boot_timeout_s).round() as u32;
     // From the tip to the base, so that no distal cable pulls on a segment that has gone slack.
     master.order_of_disabling = Order::OneByOneReversed;
     Ok(master)
