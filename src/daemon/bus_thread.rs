@@ -347,8 +347,9 @@ impl BusThread {
         }
         if lockstep && Message::of(&received.frame) == Some(Message::Time) {
             // Nothing more comes of this cycle: what is missing is missing, as it is at a tick's deadline in real time.
+            // Of this bus: another one's SYNC may have opened the next cycle while this mark was under way.
+            self.lines[bus].over = self.decoder.bus_cycle(bus);
             let cycle = self.decoder.cycle();
-            self.lines[bus].over = cycle;
             return (cycle > self.published && self.lines.iter().all(|line| line.over == cycle)).then_some(cycle);
         }
         let sync_before_ns = self.decoder.sync_ns();

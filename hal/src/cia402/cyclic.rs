@@ -256,6 +256,11 @@ impl Decoder {
         self.cycle
     }
 
+    /// The cycle that the newest SYNC of a bus opened, 0 before the first and for a bus that there is not.
+    pub fn bus_cycle(&self, bus: usize) -> u64 {
+        self.bus_cycle.get(bus).copied().unwrap_or(0)
+    }
+
     /// Receive time of the first SYNC of this cycle (ns).
     pub fn sync_ns(&self) -> u64 {
         self.sync_ns
