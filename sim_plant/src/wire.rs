@@ -7,6 +7,7 @@
 
 use sinew_hal::can::{Filter, FilterSet};
 use sinew_hal::canopen::cob;
+use sinew_hal::cia402::layout::PACKED_RPDO;
 use sinew_hal::fault_shim::{Delay, FaultPlan};
 use std::str::FromStr;
 use std::time::Duration;
@@ -37,7 +38,7 @@ pub enum WireFrames {
     Sync,
     /// Emergency objects of drives.
     Emcy,
-    /// Torques and controlwords to the drives.
+    /// Torques and controlwords to the drives, whichever the layout; of one node, in the classic layout only.
     Rpdo,
     /// Feedback of the drives.
     Tpdo,
@@ -157,6 +158,8 @@ impl WireFault {
             WireFrames::Nmt => vec![one(cob::NMT)],
             WireFrames::Sync => vec![one(cob::SYNC)],
             WireFrames::Emcy => of(&[cob::EMCY]),
+            // Of all drives: the one that they share in the packed layout, too, which is none of a single drive.
+            WireFrames::Rpdo if self.node.is_none() => [vec![one(PACKED_RPDO)], of(&[cob::RPDO])].concat(),
             WireFrames::Rpdo => of(&[cob::RPDO]),
             WireFrames::Tpdo => of(&[cob::TPDO]),
             WireFrames::Sdo => of(&[cob::SDO_REQUEST, cob::SDO_RESPONSE]),
@@ -280,17 +283,18 @@ mod tests {
             let mut faults = WireFaults::new(vec![fault(text)]);
             assert!(faults.advance_to(0.0));
             let plan = &faults.plans(&[1, 2], Duration::from_millis(10))[0];
-            [0, 0x80, 0x81, 0x82, 0x181, 0x182, 0x201, 0x202, 0x581, 0x601, 0x701, 0x702, 0x77f]
+            [0, 0x80, 0x81, 0x82, 0x181, 0x182, 0x200, 0x201, 0x202, 0x581, 0x601, 0x701, 0x702, 0x77f]
                 .into_iter()
                 .filter(|id| plan.ids.passes(Id::Standard(*id)))
                 .collect()
         };
-        assert_eq!(hit("drop").len(), 13);
+        assert_eq!(hit("drop").len(), 14);
         assert_eq!(hit("drop:nmt"), [0]);
         assert_eq!(hit("drop:sync"), [0x80]);
         assert_eq!(hit("drop:emcy"), [0x81, 0x82]);
         assert_eq!(hit("drop:tpdo.2"), [0x182]);
-        assert_eq!(hit("drop:rpdo"), [0x201, 0x202]);
+        assert_eq!(hit("drop:rpdo"), [0x200, 0x201, 0x202]);
+        assert_eq!(hit("drop:rpdo.2"), [0x202]);
         assert_eq!(hit("drop:sdo"), [0x581, 0x601]);
         assert_eq!(hit("drop:heartbeat"), [0x701, 0x702]);
         assert_eq!(hit("drop:master"), [0x77f]);

@@ -99,8 +99,12 @@ pub struct DrivesConfig {
     pub heartbeat_s: f64,
     /// Time without a heartbeat after which the other side is dead (s).
     pub heartbeat_timeout_s: f64,
-    /// Time without SYNC after which a drive goes to its safe torque (s).
+    /// Time without SYNC, or without torques, after which a drive goes to its safe torque (s).
     pub sync_timeout_s: f64,
+    /// Time granted to a drive for each SDO response (s).
+    pub sdo_timeout_s: f64,
+    /// Time granted to a drive from its reset to its boot-up (s).
+    pub boot_timeout_s: f64,
     /// Cable tension that a drive holds when its master is dead (N).
     pub safe_tension_n: f64,
     /// Time in which a drive ramps to it (s).
@@ -132,7 +136,21 @@ pub static DRIVES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.002, 10.0)),
             "s",
             "0.1",
-            "Time without SYNC after which a drive goes to its safe tension; at least two periods of the loop.",
+            "Time without SYNC (guard 2000:01), or without torques (event timer 1400:05 of the RPDO, in whole milliseconds, rounded up), after which a drive goes to its safe tension; at least two periods of the loop.",
+        ),
+        Key::default(
+            "sdo_timeout_s",
+            Kind::Float(Range::closed(0.005, 10.0)),
+            "s",
+            "0.1",
+            "Time granted to a drive for each SDO response while it is configured, in whole milliseconds; after one that does not come, the transfer is aborted, the drive must be silent for as long, and the transfer is repeated, twice at most.",
+        ),
+        Key::default(
+            "boot_timeout_s",
+            Kind::Float(Range::closed(0.1, 120.0)),
+            "s",
+            "5.0",
+            "Time granted to a drive from its reset to its boot-up, in whole milliseconds.",
         ),
         Key::default(
             "safe_tension_n",
@@ -371,6 +389,8 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
         heartbeat_s: table.float("heartbeat_s"),
         heartbeat_timeout_s: table.float("heartbeat_timeout_s"),
         sync_timeout_s: table.float("sync_timeout_s"),
+        sdo_timeout_s: table.float("sdo_timeout_s"),
+        boot_timeout_s: table.float("boot_timeout_s"),
         safe_tension_n: table.float("safe_tension_n"),
         safe_ramp_s: table.float("safe_ramp_s"),
     };

@@ -12,6 +12,7 @@ use crate::ipc::SourcePublisher;
 use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
 use sinew_hal::canopen::Message;
+use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
 use sinew_hal::clock::monotonic_ns;
 use sinew_hal::load::{BitRates, Shape};
@@ -87,6 +88,8 @@ fn cause_of(fault: &Fault) -> u32 {
 struct Memory {
     /// Heartbeat lost and not back.
     lost: bool,
+    /// It answers no SYNC, although it was operational; what is ordered would not reach it either.
+    mute: bool,
     /// It was up once, so that silence means something.
     seen: bool,
     /// Last emergency code.
@@ -445,7 +448,13 @@ impl BusThread {
             tracing::warn!("{fault}");
             let memory = &mut self.memory[fault.drive];
             match fault.fault {
-                Fault::Emergency(e) => memory.emergency = Some(u32::from(e.code)),
+                Fault::Emergency(e) => {
+                    memory.emergency = Some(u32::from(e.code));
+                    // A drive need not go into fault for it, but one that does not get its torques must not be used.
+                    if e.code == RPDO_TIMEOUT {
+                        memory.sticky = Some(u32::from(e.code));
+                    }
+                }
                 Fault::HeartbeatLost { .. } => memory.lost = true,
                 other => memory.sticky = Some(cause_of(&other)),
             }
@@ -470,12 +479,13 @@ impl BusThread {
     fn update_input(&mut self) {
         let (mut enabled, mut powered, mut ready, mut fault) = (0, 0, 0, None);
         let cycle = self.decoder.cycle();
-        let drives = self.master.status().zip(&self.memory).zip(self.decoder.feedback()).enumerate();
+        let drives = self.master.status().zip(&mut self.memory).zip(self.decoder.feedback()).enumerate();
         for (cable, ((status, memory), feedback)) in drives {
             let state = status.state();
             let up = status.phase == Phase::Ready && !memory.lost;
             // What it said last is no longer known to be true.
             let mute = up && status.statusword.is_some() && cycle.saturating_sub(feedback.cycle) > self.mute_cycles;
+            memory.mute = mute;
             let state = state.filter(|_| up && !mute);
             let faulted = matches!(state, Some(State::Fault | State::FaultReactionActive));
             enabled += usize::from(state == Some(State::OperationEnabled));
@@ -490,7 +500,7 @@ impl BusThread {
             } else if mute {
                 Some(NO_FEEDBACK)
             } else if faulted {
-                Some(memory.emergency.unwrap_or(NO_EMERGENCY))
+                Some(memory.emergency.or(memory.sticky).unwrap_or(NO_EMERGENCY))
             } else {
                 memory.sticky
             };
@@ -510,13 +520,13 @@ impl BusThread {
         self.link.write(self.input);
     }
 
-    /// The bus carries nothing, or none of its drives that were there is heard.
+    /// The bus carries nothing, or none of its drives that were there is heard or answers SYNC.
     fn is_lost(&self, bus: usize) -> bool {
         if !self.lines[bus].bus.state().carries_frames() {
             return true;
         }
         let mut drives = self.node_to_drive.iter().zip(&self.memory).filter(|(d, m)| d.0 == bus && m.seen).peekable();
-        drives.peek().is_some() && drives.all(|(_, m)| m.lost)
+        drives.peek().is_some() && drives.all(|(_, m)| m.lost || m.mute)
     }
 
     /// Statistics for `sinew status`, twice a second.

@@ -130,10 +130,14 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
     master.layouts = drives.buses.iter().map(|bus| layout(bus.layout)).collect();
+    // Torques come with every SYNC, and may be missing as long as it. Rounded up: the event timer counts milliseconds.
+    master.rpdo_timeout_ms = sync_timeout_us.div_ceil(1000).min(u32::from(u16::MAX)) as u16;
     master.heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
     master.drive_heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.drive_heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
+    master.sdo_timeout_ms = milliseconds(drives.sdo_timeout_s).into();
+    master.boot_timeout_ms = (1e3 * drives.boot_timeout_s).round() as u32;
     // From the tip to the base, so that no distal cable pulls on a segment that has gone slack.
     master.order_of_disabling = Order::OneByOneReversed;
     Ok(master)

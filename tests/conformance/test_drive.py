@@ -1,5 +1,6 @@
 """python canopen as the master, sinew's simulated drive as the slave."""
 
+import struct
 import time
 import unittest
 
@@ -283,6 +284,28 @@ class DriveTest(unittest.TestCase):
         sync()
         self.assertTrue(until(lambda: (self.drive_state(), self.node.sdo[0x6074].raw) == ("FAULT", 0)))
         self.assertEqual(self.node.emcy.log[-1].code, 0x81FF)
+
+    def test_loss_of_torques(self):
+        # RPDO deadline monitoring: sub-index 5 of its communication parameters, from the next reception on.
+        rpdo, _ = self.enable_by_pdo()
+        self.node.sdo[0x1400][5].raw = 400
+        self.assertEqual(self.node.sdo[0x1400][5].raw, 400)
+        self.periodic(0x80, [], 0.02)
+        time.sleep(0.8)
+        self.assertEqual((self.drive_state(), self.node.emcy.log), ("OPERATION ENABLED", []))
+        torques = self.periodic(0x200 + NODE, struct.pack("<Hh", 0x0F, 400), 0.02)
+        time.sleep(1.0)
+        self.assertEqual((self.drive_state(), self.node.sdo[0x6074].raw), ("OPERATION ENABLED", 400))
+        torques()  # SYNC goes on
+        self.assertTrue(until(lambda: [e.code for e in self.node.emcy.log] == [0x8250]), self.node.emcy.log)
+        self.assertTrue(until(lambda: (self.drive_state(), self.node.sdo[0x6074].raw) == ("FAULT", 0)))
+        self.assertEqual(self.node.sdo[0x603F].raw, 0x8250)
+        # Latched: the cause is still there, and then gone.
+        self.assertEqual(self.command(0x80), "FAULT")
+        self.command(0x00)
+        self.network.send_message(0x200 + NODE, struct.pack("<Hh", 0x00, 400))
+        self.assertTrue(until(lambda: self.command(0x00) == "FAULT" and self.command(0x80) == "SWITCH ON DISABLED"))
+        self.assertEqual(self.node.sdo[0x6074].raw, 0)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,8 @@ pub mod code {
     pub const BUS_OFF_RECOVERED: u16 = 0x8140;
     /// PDO not processed: its length is wrong.
     pub const PDO_LENGTH: u16 = 0x8210;
+    /// RPDO time-out: an RPDO did not arrive within the event timer of its communication parameters (140x:05).
+    pub const RPDO_TIMEOUT: u16 = 0x8250;
     /// SYNC did not arrive within the time that the drive expects it in (manufacturer's use of class 81).
     pub const SYNC_TIMEOUT: u16 = 0x81ff;
 }
@@ -85,6 +87,7 @@ impl Emergency {
             code::HEARTBEAT => "heartbeat of the master lost",
             code::BUS_OFF_RECOVERED => "recovered from bus-off",
             code::PDO_LENGTH => "PDO not processed, wrong length",
+            code::RPDO_TIMEOUT => "torques did not arrive in time",
             code::SYNC_TIMEOUT => "SYNC did not arrive in time",
             c => match c >> 8 {
                 0x00 => "error reset or no error",

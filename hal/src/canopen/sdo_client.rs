@@ -1,4 +1,9 @@
 //! SDO client: one transfer at a time with one server, as a state machine that is handed frames and the time.
+//!
+//! Enters: what shall be read or written, the server's frames, the time. Leaves: requests, and how the transfer ended.
+//! It must never take an answer for that to another request: what does not fit the request outstanding in command
+//! specifier, object and toggle bit is ignored and counted. An answer names only its object, so after a time-out, the
+//! same object shall not be asked again before the server has been silent for a while ([`SdoClient::is_quiet`]).
 
 use super::sdo::{AbortCode, Request, Response, Start, TRANSFER_LEN_MAX, expedited, segment};
 use thiserror::Error;
@@ -59,12 +64,41 @@ pub struct SdoClient {
     data: Vec<u8>,
     timeout_ns: u64,
     deadline_ns: u64,
+    /// Quiet from here on, unless a late answer comes.
+    quiet_ns: u64,
+    /// Quiet from here on, whatever comes.
+    quiet_at_last_ns: u64,
+    ignored: u64,
 }
+
+/// How many time-outs the silence is waited for that follows one.
+const QUIET_TIMEOUTS_MAX: u64 = 10;
 
 impl SdoClient {
     /// Idle; `timeout_ns` is granted for each response.
     pub fn new(timeout_ns: u64) -> Self {
-        Self { step: Step::Idle, index: 0, sub: 0, data: Vec::new(), timeout_ns, deadline_ns: 0 }
+        Self {
+            step: Step::Idle,
+            index: 0,
+            sub: 0,
+            data: Vec::new(),
+            timeout_ns,
+            deadline_ns: 0,
+            quiet_ns: 0,
+            quiet_at_last_ns: 0,
+            ignored: 0,
+        }
+    }
+
+    /// Responses ignored, as they did not belong to the request outstanding.
+    pub fn ignored(&self) -> u64 {
+        self.ignored
+    }
+
+    /// False after a time-out, until the server has said nothing for as long as it is granted for a response; in any case
+    /// true after ten times as long.
+    pub fn is_quiet(&self, now_ns: u64) -> bool {
+        now_ns >= self.quiet_ns.min(self.quiet_at_last_ns)
     }
 
     /// True while a transfer runs.
@@ -98,22 +132,15 @@ impl SdoClient {
 
     /// Handles the payload of a response frame; the second value is a payload to send.
     pub fn on_response(&mut self, payload: &[u8], now_ns: u64) -> (Outcome, Option<[u8; 8]>) {
-        if self.step == Step::Idle {
+        let response = Response::decode(payload).filter(|response| self.is_expected(response));
+        let Some(response) = response else {
+            self.ignored += 1;
+            self.quiet_ns = now_ns + self.timeout_ns;
             return (Outcome::Pending, None);
-        }
-        let Some(response) = Response::decode(payload) else { return (Outcome::Pending, None) };
+        };
         if let Response::Abort { code, .. } = response {
             self.step = Step::Idle;
             return (Outcome::Failed(SdoError::Aborted(code)), None);
-        }
-        // A response to another object is a late answer to a transfer given up earlier: not ours.
-        if let Response::Upload { index, sub, .. } | Response::Download { index, sub } = response
-            && (index, sub) != (self.index, self.sub)
-        {
-            return (Outcome::Pending, None);
-        }
-        if self.is_stale(&response) {
-            return (Outcome::Pending, None);
         }
         match self.advance(response) {
             Ok(None) => {
@@ -142,10 +169,7 @@ impl SdoClient {
                 }
                 Ok(Some(self.send_segment(0, false)))
             }
-            (Step::DownloadSegment { sent, toggle }, Response::DownloadSegment(t)) => {
-                if t != toggle {
-                    return Err(AbortCode::TOGGLE);
-                }
+            (Step::DownloadSegment { sent, toggle }, Response::DownloadSegment(_)) => {
                 if sent >= self.data.len() {
                     self.data.clear();
                     return Ok(None);
@@ -164,9 +188,6 @@ impl SdoClient {
                 Ok(Some(Request::UploadSegment(false)))
             }
             (Step::UploadSegment { toggle, announced }, Response::UploadSegment(s)) => {
-                if s.toggle != toggle {
-                    return Err(AbortCode::TOGGLE);
-                }
                 self.data.extend_from_slice(&s.data[..s.len]);
                 if self.data.len() > TRANSFER_LEN_MAX {
                     return Err(AbortCode::OUT_OF_MEMORY);
@@ -180,16 +201,25 @@ impl SdoClient {
                     _ => Ok(None),
                 }
             }
-            _ => Err(AbortCode::COMMAND),
+            _ => Err(AbortCode::COMMAND), // what is not expected does not come here
         }
     }
 
-    /// The start of a transfer meets an answer of the transfer before it with the same object: doubled on its way, or the
-    /// answer to the first of two attempts. Waiting on is right whichever it is; what never comes is a time-out.
-    fn is_stale(&self, response: &Response) -> bool {
-        match self.step {
-            Step::Upload => !matches!(response, Response::Upload { .. } | Response::Abort { .. }),
-            Step::Download => !matches!(response, Response::Download { .. } | Response::Abort { .. }),
+    /// Whether a response answers the request outstanding. What does not is late, of a transfer given up, or doubled on
+    /// its way; waiting on is right whichever it is, and what never comes is a time-out.
+    fn is_expected(&self, response: &Response) -> bool {
+        let ours = (self.index, self.sub);
+        match (&self.step, *response) {
+            (Step::Idle, _) => false,
+            (Step::Upload, Response::Upload { index, sub, .. }) => (index, sub) == ours,
+            (Step::Download, Response::Download { index, sub }) => (index, sub) == ours,
+            (Step::UploadSegment { toggle, .. }, Response::UploadSegment(s)) => s.toggle == *toggle,
+            (Step::DownloadSegment { toggle, .. }, Response::DownloadSegment(t)) => t == *toggle,
+            // A server that has lost the transfer, by a restart for one, cannot name its object.
+            (Step::UploadSegment { .. } | Step::DownloadSegment { .. }, Response::Abort { index: 0, sub: 0, .. }) => {
+                true
+            }
+            (_, Response::Abort { index, sub, .. }) => (index, sub) == ours,
             _ => false,
         }
     }
@@ -200,12 +230,14 @@ impl SdoClient {
         Request::DownloadSegment(s)
     }
 
-    /// Time-out: the failure and the abort to send.
+    /// Time-out: the failure and the abort to send. The next transfer should wait until [`Self::is_quiet`].
     pub fn poll(&mut self, now_ns: u64) -> (Outcome, Option<[u8; 8]>) {
         if self.step == Step::Idle || now_ns < self.deadline_ns {
             return (Outcome::Pending, None);
         }
         self.step = Step::Idle;
+        self.quiet_ns = now_ns + self.timeout_ns;
+        self.quiet_at_last_ns = now_ns + QUIET_TIMEOUTS_MAX * self.timeout_ns;
         let abort = Request::Abort { index: self.index, sub: self.sub, code: AbortCode::TIMEOUT };
         #[allow(clippy::cast_possible_truncation)] // milliseconds of a time-out
         let timeout_ms = (self.timeout_ns / 1_000_000) as u32;
@@ -215,6 +247,7 @@ impl SdoClient {
 
 #[cfg(test)]
 mod tests {
+    use super::super::sdo::Segment;
     use super::super::sdo_server::{ObjectAccess, SdoServer};
     use super::*;
     use proptest::prelude::*;
@@ -279,6 +312,79 @@ mod tests {
             }
         }
 
+        /// A server that answers in order, but late, often later than the client waits; a client that tries again when
+        /// it is quiet. Each transfer ends with its own value or with a time-out, never with a broken protocol or with
+        /// the answer to another request.
+        #[test]
+        fn late_answers_are_never_taken_for_those_to_another_request(
+            lengths in proptest::collection::vec(1usize..20, 1..8),
+            delays in proptest::collection::vec(prop_oneof![3 => 0u64..900, 1 => 900u64..2500], 1..60),
+        ) {
+            let (mut c, mut s, mut o) = (SdoClient::new(1000), SdoServer::new(), One(vec![0]));
+            let mut delays = delays.iter().copied().cycle();
+            let (mut now, mut busy_until) = (0u64, 0u64);
+            // Requests on their way to the server, each with the time at which it will be answered.
+            let mut inbox: std::collections::VecDeque<(u64, [u8; 8])> = Default::default();
+            for (n, len) in lengths.iter().enumerate() {
+                for write in [true, false] {
+                    let value: Vec<u8> = (0..*len).map(|i| (n * 31 + i) as u8).collect();
+                    for _ in 0..20 {
+                        let first = if write { c.download(0x2000, 1, &value, now) } else { c.upload(0x2000, 1, now) };
+                        let mut next = Some(first);
+                        let outcome = loop {
+                            if let Some(request) = next.take() {
+                                busy_until = busy_until.max(now) + delays.next().unwrap();
+                                inbox.push_back((busy_until, request));
+                            }
+                            now += 10;
+                            let mut outcome = Outcome::Pending;
+                            while outcome == Outcome::Pending && inbox.front().is_some_and(|(due, _)| *due <= now) {
+                                let (_, request) = inbox.pop_front().unwrap();
+                                if let Some(answer) = s.on_request(&request, &mut o) {
+                                    let (ended, more) = c.on_response(&answer, now);
+                                    outcome = ended;
+                                    if let Some(request) = more {
+                                        busy_until = busy_until.max(now) + delays.next().unwrap();
+                                        inbox.push_back((busy_until, request));
+                                    }
+                                }
+                            }
+                            if outcome == Outcome::Pending {
+                                let (ended, abort) = c.poll(now);
+                                (outcome, next) = (ended, abort);
+                            }
+                            if outcome != Outcome::Pending {
+                                if let Some(abort) = next.take() {
+                                    busy_until = busy_until.max(now);
+                                    inbox.push_back((busy_until, abort));
+                                }
+                                break outcome;
+                            }
+                        };
+                        match outcome {
+                            Outcome::Done(found) => {
+                                prop_assert_eq!(&found, if write { &[][..] } else { &o.0 });
+                                prop_assert!(!write || o.0 == value);
+                                break;
+                            }
+                            Outcome::Failed(error) => prop_assert!(matches!(error, SdoError::Timeout { .. }), "{error:?}"),
+                            Outcome::Pending => unreachable!(),
+                        }
+                        // Until it is quiet; what is under way meanwhile arrives.
+                        while !c.is_quiet(now) || !inbox.is_empty() {
+                            now += 10;
+                            while inbox.front().is_some_and(|(due, _)| *due <= now) {
+                                let (_, request) = inbox.pop_front().unwrap();
+                                if let Some(answer) = s.on_request(&request, &mut o) {
+                                    prop_assert_eq!(c.on_response(&answer, now), (Outcome::Pending, None));
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+
         #[test]
         fn requests_and_responses_round_trip(bytes: [u8; 8]) {
             if let Some(r) = Request::decode(&bytes) {
@@ -322,6 +428,56 @@ mod tests {
         assert_eq!(outcome, Outcome::Failed(SdoError::Timeout { timeout_ms: 5 }));
         assert_eq!(abort.unwrap()[0], 0x80);
         assert!(!c.is_busy());
+    }
+
+    #[test]
+    fn after_a_time_out_it_is_quiet_when_nothing_came_for_as_long_or_at_the_latest_after_ten_times_that() {
+        let mut c = SdoClient::new(1000);
+        assert!(c.is_quiet(0));
+        let _ = c.upload(0x1000, 0, 0);
+        assert!(c.poll(1000).1.is_some());
+        assert!(!c.is_quiet(1999) && c.is_quiet(2000));
+        let late = Response::Upload { index: 0x1000, sub: 0, start: Start::Expedited(Some(4), [1; 4]) }.encode();
+        assert_eq!(c.on_response(&late, 1500), (Outcome::Pending, None));
+        assert!(!c.is_quiet(2499) && c.is_quiet(2500));
+        (0..100).for_each(|i| drop(c.on_response(&late, 2000 + 100 * i)));
+        assert!(!c.is_quiet(10_999) && c.is_quiet(11_000));
+        assert_eq!(c.ignored(), 101);
+    }
+
+    #[test]
+    fn what_does_not_answer_the_request_outstanding_is_ignored_and_counted() {
+        let mut c = SdoClient::new(1000);
+        let upload = |index, start| Response::Upload { index, sub: 0, start };
+        let one = Start::Expedited(Some(1), [1, 0, 0, 0]);
+        let abort = |index, code| Response::Abort { index, sub: 0, code };
+        let s = |toggle, last| Segment { toggle, len: 1, data: [9; 7], last };
+        let refuses = |c: &mut SdoClient, responses: &[Response]| {
+            for r in responses {
+                let before = c.ignored();
+                assert_eq!(c.on_response(&r.encode(), 1), (Outcome::Pending, None), "{r:?}");
+                assert_eq!((c.ignored(), c.is_busy()), (before + 1, true), "{r:?}");
+            }
+        };
+        let other = [abort(0x1000, AbortCode::TIMEOUT), abort(0, AbortCode::COMMAND), upload(0x1000, one)];
+        let segments = [Response::UploadSegment(s(false, true)), Response::DownloadSegment(false)];
+        let download = Response::Download { index: 0x6041, sub: 0 };
+        let _ = c.upload(0x6041, 0, 0);
+        refuses(&mut c, &other);
+        refuses(&mut c, &segments);
+        refuses(&mut c, &[download]);
+        // Segmented: the first segment's toggle bit is 0.
+        assert!(c.on_response(&upload(0x6041, Start::Segmented(None)).encode(), 1).1.is_some());
+        refuses(&mut c, &[upload(0x6041, one), Response::UploadSegment(s(true, true)), download, other[0]]);
+        assert!(c.on_response(&Response::UploadSegment(s(false, false)).encode(), 1).1.is_some());
+        refuses(&mut c, &[Response::UploadSegment(s(false, true))]);
+        let last = Response::UploadSegment(s(true, true)).encode();
+        assert_eq!(c.on_response(&last, 1), (Outcome::Done(vec![9, 9]), None));
+        // A server that was restarted in between.
+        let _ = c.upload(0x6041, 0, 0);
+        let _ = c.on_response(&upload(0x6041, Start::Segmented(None)).encode(), 1);
+        let lost = c.on_response(&abort(0, AbortCode::COMMAND).encode(), 1).0;
+        assert_eq!(lost, Outcome::Failed(SdoError::Aborted(AbortCode::COMMAND)));
     }
 
     #[test]

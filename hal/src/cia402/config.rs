@@ -102,6 +102,9 @@ pub struct MasterConfig {
     pub drive_heartbeat_ms: u16,
     /// After this time without it a drive counts as lost (ms).
     pub drive_heartbeat_timeout_ms: u16,
+    /// After this time without RPDO 1 the drives go safe (ms), its event timer 1400:05; 0: never. The monitoring starts
+    /// with the first RPDO (CiA 301, 7.5.2.35). A drive without the object is accepted, and the fact noted.
+    pub rpdo_timeout_ms: u16,
     /// Period of SYNC (us), object 1006.
     pub cycle_us: u32,
     /// Time granted to each SDO response (ms).
@@ -122,7 +125,8 @@ pub struct MasterConfig {
 
 impl MasterConfig {
     /// Defaults for the drives given: heartbeats of 50 ms with time-outs of 200 ms (four may be missed in a row but
-    /// not five), SDO 100 ms twice repeated, boot-up 5 s, transitions 1 s.
+    /// not five), SDO 100 ms twice repeated, boot-up 5 s, transitions 1 s. RPDOs are not monitored, for how long they may
+    /// be missing depends on who sends them.
     pub fn new(drives: Vec<DriveSetup>, node: NodeId, cycle_us: u32) -> Self {
         Self {
             drives,
@@ -132,6 +136,7 @@ impl MasterConfig {
             heartbeat_timeout_ms: 200,
             drive_heartbeat_ms: 50,
             drive_heartbeat_timeout_ms: 200,
+            rpdo_timeout_ms: 0,
             cycle_us,
             sdo_timeout_ms: 100,
             sdo_retries: 2,
@@ -191,6 +196,11 @@ impl MasterConfig {
         if self.cycle_us == 0 {
             return Err(SetupError::Cycle);
         }
+        // Shorter than two cycles, a single lost RPDO, which SYNC bridges, would stop the drive.
+        let timeout_ms = self.rpdo_timeout_ms;
+        if timeout_ms != 0 && u64::from(timeout_ms) * 1000 < 2 * u64::from(self.cycle_us) {
+            return Err(SetupError::RpdoTimeout { timeout_ms, cycle_us: self.cycle_us });
+        }
         Ok(())
     }
 }
@@ -213,6 +223,8 @@ pub enum SetupError {
     Heartbeat { name: &'static str, period: u16, timeout: u16 },
     #[error("the cycle must be longer than 0 us")]
     Cycle,
+    #[error("RPDO time-out of {timeout_ms} ms is shorter than two cycles of {cycle_us} us")]
+    RpdoTimeout { timeout_ms: u16, cycle_us: u32 },
     #[error("a bus handle could not be duplicated, operating system error {0}")]
     Duplicate(i32),
 }

@@ -22,6 +22,9 @@ pub const IDENTITY: u16 = 0x1018;
 pub const ERROR_BEHAVIOUR: u16 = 0x1029;
 /// Communication parameters of the first RPDO.
 pub const RPDO_COMMUNICATION: u16 = 0x1400;
+/// Sub-index of a PDO's communication parameters: event timer (ms, 0 off). Of an RPDO, the time within which the next
+/// one must come.
+pub const EVENT_TIMER: u8 = 5;
 /// Mapping of the first RPDO.
 pub const RPDO_MAPPING: u16 = 0x1600;
 /// Communication parameters of the first TPDO.

@@ -83,6 +83,8 @@ pub fn script(config: &MasterConfig, index: usize) -> Vec<Step> {
     let tpdo = u32::from(drive.node.cob(TPDO)) | COB_NO_RTR;
     pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, u32::from(rpdo), &rpdo_mapping);
     pdo(&mut steps, o::TPDO_COMMUNICATION, o::TPDO_MAPPING, tpdo, &o::TPDO1);
+    // Written at 0, too: a drive may have kept another value over the reset.
+    steps.push(optional(o::RPDO_COMMUNICATION, o::EVENT_TIMER, &config.rpdo_timeout_ms.to_le_bytes()));
 
     steps.push(write(o::MAX_TORQUE, 0, &drive.torque_permille_max.to_le_bytes()));
     steps.push(write(o::TARGET_TORQUE, 0, &0i16.to_le_bytes()));
@@ -143,6 +145,8 @@ pub struct Runner {
     retries: u32,
     retries_max: u32,
     tries: u32,
+    /// A transfer timed out; it is repeated when the server has nothing more to say.
+    settling: bool,
     /// Rated torque that must be found (mN m).
     rated_expected: Option<u32>,
     /// Rated torque found (mN m).
@@ -162,6 +166,7 @@ impl Runner {
             retries: 0,
             retries_max: config.sdo_retries,
             tries: 0,
+            settling: false,
             rated_expected: config.drives.get(index).and_then(|d| d.rated_torque_mnm),
             rated_torque_mnm: None,
             absent: Vec::new(),
@@ -171,6 +176,11 @@ impl Runner {
     /// Steps done and steps in all.
     pub fn progress(&self) -> (usize, usize) {
         (self.at, self.steps.len())
+    }
+
+    /// Responses that did not belong to the request outstanding, late ones for example.
+    pub fn ignored(&self) -> u64 {
+        self.client.ignored()
     }
 
     /// Starts the present step.
@@ -195,6 +205,13 @@ impl Runner {
 
     /// Time-outs.
     pub fn poll(&mut self, now_ns: u64) -> Advance {
+        if self.settling {
+            if !self.client.is_quiet(now_ns) {
+                return Advance::Wait;
+            }
+            self.settling = false;
+            return self.start(now_ns);
+        }
         let (outcome, send) = self.client.poll(now_ns);
         self.follow(outcome, send, now_ns)
     }
@@ -213,8 +230,10 @@ impl Runner {
     fn on_error(&mut self, error: SdoError, send: Option<[u8; 8]>, now_ns: u64) -> Advance {
         if matches!(error, SdoError::Timeout { .. }) && self.retries < self.retries_max {
             self.retries += 1;
-            // The abort of the timed-out transfer is left out: the new initiate request ends it on the server too.
-            return self.start(now_ns);
+            // The server is told, and what it still answers is waited out: an answer names its object only, and a late one
+            // would be taken for that to the repetition, and that one for the answer to what follows.
+            self.settling = true;
+            return send.map_or(Advance::Wait, Advance::Send);
         }
         let absent = matches!(error, SdoError::Aborted(AbortCode::NO_OBJECT | AbortCode::NO_SUB_INDEX));
         let (index, sub, write) = match &self.steps[self.at.min(self.steps.len() - 1)] {

@@ -46,7 +46,7 @@ fn header(t: &mut String) {
          SimpleBootUpMaster=0\nSimpleBootUpSlave=1\nGranularity=8\nDynamicChannelsSupported=0\nGroupMessaging=0\n\
          NrOfRXPDO={PDOS}\nNrOfTXPDO={PDOS}\nLSS_Supported=0\n\n\
          [DummyUsage]\nDummy0001=0\nDummy0002=1\nDummy0003=1\nDummy0004=1\nDummy0005=1\nDummy0006=1\nDummy0007=1\n\n\
-         [Comments]\nLines=2\nLine1=Safe torque 2000:02 is applied after a loss of heartbeat or SYNC, also in the state fault.\n\
+         [Comments]\nLines=2\nLine1=Safe torque 2000:02 is applied after a loss of heartbeat, SYNC or RPDO, also in the state fault.\n\
          Line2=Each PDO maps up to {MAPPED_MAX} objects of whole bytes.\n\n"
     );
 }

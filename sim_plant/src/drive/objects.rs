@@ -173,7 +173,11 @@ fn pdo(t: &mut Table, n: u16) {
         o::RPDO_COMMUNICATION + n,
         &format!("RPDO {number} communication parameter"),
         Kind::Record,
-        &[(1, "COB-ID used by RPDO", U32, Rw, rpdo_cob), (2, "Transmission type", U8, Rw, Value::Int(1))],
+        &[
+            (1, "COB-ID used by RPDO", U32, Rw, rpdo_cob),
+            (2, "Transmission type", U8, Rw, Value::Int(1)),
+            (o::EVENT_TIMER, "Event timer", U16, Rw, Value::Int(0)),
+        ],
     );
     t.group(
         o::TPDO_COMMUNICATION + n,
@@ -183,7 +187,7 @@ fn pdo(t: &mut Table, n: u16) {
             (1, "COB-ID used by TPDO", U32, Rw, tpdo_cob),
             (2, "Transmission type", U8, Rw, Value::Int(1)),
             (3, "Inhibit time", U16, Rw, Value::Int(0)),
-            (5, "Event timer", U16, Rw, Value::Int(0)),
+            (o::EVENT_TIMER, "Event timer", U16, Rw, Value::Int(0)),
         ],
     );
     let mut mapping = |index: u16, kind: &str, entries: &[u32]| {

@@ -31,7 +31,7 @@ pub struct Pdo {
     pub transmission: u8,
     /// Least time between two event-driven transmissions (ns).
     pub inhibit_ns: u64,
-    /// Longest time between two event-driven transmissions (ns), 0: none.
+    /// Longest time between two event-driven transmissions, or between two receptions (ns), 0: none.
     pub event_ns: u64,
     /// What lies where.
     pub mapping: Mapping,
@@ -53,7 +53,7 @@ impl Pdo {
             cob: (cob & i64::from(COB_INVALID) == 0).then_some((cob & 0x7ff) as u16),
             transmission: dictionary.int(communication + n, 2) as u8,
             inhibit_ns: dictionary.int(communication + n, 3).unsigned_abs() * 100_000,
-            event_ns: dictionary.int(communication + n, 5).unsigned_abs() * 1_000_000,
+            event_ns: dictionary.int(communication + n, o::EVENT_TIMER).unsigned_abs() * 1_000_000,
             mapping: Mapping::new(&entries, DATA_LEN_MAX).unwrap_or_default(),
         }
     }

@@ -303,7 +303,7 @@ impl Master {
 
     fn advance(&mut self, i: usize, advance: Advance, now_ns: u64) {
         if let Some(r) = &self.slots[i].runner {
-            self.slots[i].status.steps = r.progress();
+            (self.slots[i].status.steps, self.slots[i].status.sdo_ignored) = (r.progress(), r.ignored());
         }
         match advance {
             Advance::Send(payload) => self.send_sdo(i, &payload),

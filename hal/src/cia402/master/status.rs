@@ -45,6 +45,8 @@ pub struct DriveStatus {
     pub statusword: Option<u16>,
     /// Steps of the script done, and in all.
     pub steps: (usize, usize),
+    /// SDO responses during configuration that were late, doubled or of something else, and ignored.
+    pub sdo_ignored: u64,
     /// Rated torque (mN m), object 6076.
     pub rated_torque_mnm: Option<u32>,
     /// Error register of its last emergency object.
@@ -112,6 +114,7 @@ impl Slot {
                 nmt: None,
                 statusword: None,
                 steps: (0, 0),
+                sdo_ignored: 0,
                 rated_torque_mnm: None,
                 error_register: 0,
                 emergencies: VecDeque::new(),

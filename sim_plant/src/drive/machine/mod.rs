@@ -180,7 +180,7 @@ impl Drive {
         }
     }
 
-    /// Heartbeats and SYNC that should have come.
+    /// Heartbeats, SYNC and RPDOs that should have come.
     fn monitor(&mut self) {
         for i in 0..self.consumers.len() {
             let c = self.consumers[i];
@@ -202,6 +202,7 @@ impl Drive {
             self.sync_lost = true;
             self.abort_connection(code::SYNC_TIMEOUT, [0; 5]);
         }
+        self.monitor_rpdos(powered);
     }
 
     /// What object 6007 wants when the connection is gone. The emergency object is sent in any case.
@@ -257,7 +258,7 @@ impl Drive {
 
     /// A cause that would raise the fault again at once.
     fn cause_persists(&self) -> bool {
-        self.sync_lost || self.consumers.iter().any(|c| c.lost)
+        self.sync_lost || self.traffic.misses_targets() || self.consumers.iter().any(|c| c.lost)
     }
 
     fn on_controlword(&mut self, word: u16) {
@@ -396,7 +397,7 @@ impl Drive {
     fn leave_operational(&mut self, to: NmtState) {
         let was = std::mem::replace(&mut self.nmt, to);
         self.sync_ns = None;
-        self.traffic.drop_waiting();
+        self.traffic.end();
         if was == NmtState::Operational && self.state == State::OperationEnabled {
             // Reported before stopped takes effect: a stopped node sends no emergency objects.
             self.nmt = if to == NmtState::Stopped { NmtState::PreOperational } else { to };

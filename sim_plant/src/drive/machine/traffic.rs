@@ -1,4 +1,5 @@
-//! The drive's PDOs at work: targets in, feedback out, both at the beat of SYNC unless configured otherwise.
+//! The drive's PDOs at work: targets in, feedback out, both at the beat of SYNC unless configured otherwise; and the
+//! deadline of each RPDO, its event timer (CiA 301, 7.5.2.35), that says when targets are missing.
 
 use super::super::objects::PDOS;
 use super::super::pdo::{self, Direction, Pdo};
@@ -17,6 +18,10 @@ pub(super) struct Traffic {
     waiting: [Option<Frame>; PDOS as usize],
     /// SYNCs since the last transmission, time of it, and what was sent.
     sent: [(u8, u64, Vec<u8>); PDOS as usize],
+    /// Time of the last reception: the deadline of an RPDO counts from the first one after it was configured (CiA 301).
+    heard_ns: [Option<u64>; PDOS as usize],
+    /// Deadlines that were missed with torque on; each until that RPDO comes.
+    missed: [bool; PDOS as usize],
     length_wrong: bool,
 }
 
@@ -24,7 +29,11 @@ impl Traffic {
     /// Reads the parameters anew.
     pub(super) fn load(&mut self, dictionary: &ObjectDictionary) {
         for n in 0..PDOS {
-            self.rpdo[usize::from(n)] = Pdo::of(dictionary, Direction::Receive, n);
+            let rpdo = Pdo::of(dictionary, Direction::Receive, n);
+            if self.rpdo[usize::from(n)] != rpdo {
+                self.rpdo[usize::from(n)] = rpdo;
+                (self.heard_ns[usize::from(n)], self.missed[usize::from(n)]) = (None, false);
+            }
             self.tpdo[usize::from(n)] = Pdo::of(dictionary, Direction::Transmit, n);
         }
     }
@@ -36,8 +45,20 @@ impl Traffic {
 
     /// Start of operation: nothing waits, nothing was sent.
     pub(super) fn begin(&mut self) {
-        self.drop_waiting();
+        self.end();
         self.sent = Default::default();
+    }
+
+    /// End of operation: targets that have not taken effect are dropped, and none are expected.
+    pub(super) fn end(&mut self) {
+        self.drop_waiting();
+        self.heard_ns = Default::default();
+        self.missed = Default::default();
+    }
+
+    /// True while targets are missing.
+    pub(super) fn misses_targets(&self) -> bool {
+        self.missed.contains(&true)
     }
 
     /// RPDOs with this identifier.
@@ -60,10 +81,23 @@ impl Drive {
             return;
         }
         self.traffic.length_wrong = false;
+        (self.traffic.heard_ns[n], self.traffic.missed[n]) = (Some(self.now_ns), false);
         if pdo.is_synchronous() {
             self.traffic.waiting[n] = Some(*frame);
         } else {
             self.apply_rpdo(n, frame);
+        }
+    }
+
+    /// RPDOs that should have come. As with SYNC, what is missing without torque needs no reaction.
+    pub(super) fn monitor_rpdos(&mut self, powered: bool) {
+        for n in 0..usize::from(PDOS) {
+            let (pdo, heard_ns) = (&self.traffic.rpdo[n], self.traffic.heard_ns[n]);
+            let late = heard_ns.is_some_and(|t| self.now_ns.saturating_sub(t) > pdo.event_ns);
+            if powered && pdo.cob.is_some() && pdo.event_ns != 0 && late && !self.traffic.missed[n] {
+                self.traffic.missed[n] = true;
+                self.abort_connection(code::RPDO_TIMEOUT, [n as u8 + 1, 0, 0, 0, 0]);
+            }
         }
     }
 
