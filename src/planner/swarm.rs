@@ -405,15 +405,22 @@ impl WithSimd for Advance<'_> {
                 // One number of the source is both of (29): 32 bits each are more than the search can tell.
                 let (t1, t2) = (unit(*bits >> 32), unit(*bits & 0xffff_ffff));
                 let moved = *x + inertia * *v + own * t1 * (*best - *x) + social * t2 * (answer - *x);
-                let moved = moved.max(low).min(high);
+                let moved = between(moved, low, high);
                 let p = (*x - low) * inverse;
-                let jumped = (low + 4.0 * p * (1.0 - p) * span).max(low).min(high);
+                let jumped = between(low + 4.0 * p * (1.0 - p) * span, low, high);
                 // A particle stopped by the wall loses the speed that carried it there.
                 *v = if *chaotic { *v } else { moved - *x };
                 *x = if *chaotic { jumped } else { moved };
             }
         }
     }
+}
+
+/// `f64::clamp` in two instructions; what is not a number becomes `low`.
+#[inline(always)]
+fn between(x: f64, low: f64, high: f64) -> f64 {
+    let x = if x > low { x } else { low };
+    if x < high { x } else { high }
 }
 
 /// Uniform in [0, 1) from 32 bits.
@@ -452,8 +459,8 @@ impl WithSimd for Evaluation<'_> {
             j += match (stride - j) / step {
                 0 => quadratic_cost::<_, 1>(Scalars, upper, quadratic, position, stride, j, cost),
                 1 => quadratic_cost::<_, 1>(w, upper, quadratic, position, stride, j, cost),
-                2 => quadratic_cost::<_, 2>(w, upper, quadratic, position, stride, j, cost),
-                _ => quadratic_cost::<_, 3>(w, upper, quadratic, position, stride, j, cost),
+                // Three would not fit into the registers of AVX2.
+                _ => quadratic_cost::<_, 2>(w, upper, quadratic, position, stride, j, cost),
             };
         }
         for (r, row) in pairs.rows.iter().enumerate() {
