@@ -8,7 +8,7 @@
 //!
 //! `cargo bench --bench anytime` (about a minute after building) writes `benches/results/anytime.csv`, `anytime.svg`
 //! and prints the Newton counts.
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a bench may panic and print
 
 #[path = "plot/mod.rs"]
 mod plot;
