@@ -135,6 +135,8 @@ pub(crate) struct BusThread {
     input: DrivesInput,
     /// Lockstep: drives that did not answer in time and are not waited for until they do.
     given_up: DriveMask,
+    /// Cycle that the last published reading of each drive answered.
+    taken: Vec<u64>,
     /// Drives ready and enabled.
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
@@ -188,6 +190,7 @@ impl BusThread {
             failed_since_ns: None,
             input: DrivesInput::default(),
             given_up: DriveMask::default(),
+            taken: vec![0; config.drives.drives.len()],
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
             answer_timeout_ns: SILENCE_NS,
@@ -394,8 +397,26 @@ impl BusThread {
         DriveMask::first(self.memory.len())
     }
 
+    /// Of those who did not answer a cycle, who has told nothing new for [`ANSWERS_NS`] either. At short periods a bus that
+    /// is served after the others may answer every cycle just after the next one began: it is late, not silent.
+    fn silent(&self, cycle: u64, missing: DriveMask) -> DriveMask {
+        let mut silent = DriveMask::default();
+        for drive in missing.iter().take_while(|drive| *drive < self.taken.len()) {
+            let answered = self.decoder.feedback()[drive].cycle;
+            let late_ns = cycle.saturating_sub(answered).saturating_mul(self.period_ns);
+            if answered <= self.taken[drive] || late_ns > ANSWERS_NS {
+                silent.insert(drive);
+            }
+        }
+        silent
+    }
+
     /// Publishes the feedback of a cycle; drives that did not answer have no valid entry.
     fn publish(&mut self, cycle: u64, capture_ns: u64, tick: Option<u64>, missing: DriveMask) {
+        let missing = if tick.is_some() { missing } else { self.silent(cycle, missing) };
+        for (taken, feedback) in self.taken.iter_mut().zip(self.decoder.feedback()) {
+            *taken = feedback.cycle;
+        }
         for (count, feedback) in self.counts.iter_mut().zip(self.decoder.feedback()) {
             *count = feedback.position_counts;
         }

@@ -16,6 +16,8 @@ pub struct TargetTrack {
     /// Ascending in `valid_from_ns`; the first `count` are in use.
     points: [Target; TRACK_POINTS],
     count: usize,
+    /// Time up to which passed points were dropped last (ns): the first one kept was in use then.
+    dropped_to_ns: u64,
 }
 
 /// Desired output at one time.
@@ -47,7 +49,13 @@ pub struct TargetSample {
 impl TargetTrack {
     /// Without any target, for an arm with this many segments.
     pub fn new(segment_count: usize) -> Self {
-        Self { segment_count, log: SourceLog::default(), points: [Target::default(); TRACK_POINTS], count: 0 }
+        Self {
+            segment_count,
+            log: SourceLog::default(),
+            points: [Target::default(); TRACK_POINTS],
+            count: 0,
+            dropped_to_ns: 0,
+        }
     }
 
     /// Takes over a point if it is valid. Does not allocate.
@@ -94,6 +102,9 @@ impl TargetTrack {
         if keep - passed == TRACK_POINTS {
             return Err(RejectCause::Overfull);
         }
+        if passed > 0 {
+            self.dropped_to_ns = now_ns;
+        }
         self.points.copy_within(passed..keep, 0);
         let end = keep - passed;
         self.points[end] = *message;
@@ -105,6 +116,7 @@ impl TargetTrack {
     /// Forgets all points (after a stop).
     pub fn clear(&mut self) {
         self.count = 0;
+        self.dropped_to_ns = 0;
     }
 
     /// Overwrites this track with another's content, copying only what is in use.
@@ -112,15 +124,20 @@ impl TargetTrack {
         self.segment_count = other.segment_count;
         self.log = other.log;
         self.count = other.count;
+        self.dropped_to_ns = other.dropped_to_ns;
         self.points[..other.count].copy_from_slice(&other.points[..other.count]);
     }
 
     /// The desired output at a time; `None` before the first point is valid, or without any. Does not allocate.
     ///
     /// Between points: cubic Hermite in position and curvature (value and rate of both points are met), slerp in attitude.
-    /// Beyond the last point: at its rates for `stale_after_s`, then standing still.
+    /// Beyond the last point: at its rates for `stale_after_s`, then standing still. A time that lies before points that
+    /// were dropped as passed gets the first one kept: a tick that is late asks for a time at which a message that came
+    /// meanwhile was not yet there, and must not find that there is no target.
     pub fn sample(&self, at_ns: u64, limits: &InputLimits) -> Option<TargetSample> {
         let points = &self.points[..self.count];
+        let first_ns = points.first()?.valid_from_ns;
+        let at_ns = if first_ns <= self.dropped_to_ns { at_ns.max(first_ns) } else { at_ns };
         let next = points.iter().take_while(|p| p.valid_from_ns <= at_ns).count();
         let from = points.get(next.checked_sub(1)?)?;
         let mode = TargetMode::from_wire(from.mode)?;

@@ -146,6 +146,34 @@ fn passed_points_make_room_and_a_full_future_is_refused() {
 }
 
 #[test]
+fn a_late_tick_that_asks_for_a_time_before_the_points_that_came_meanwhile_has_a_target() {
+    let mut track = TargetTrack::new(4);
+    for k in 0..3 {
+        let now = NOW + k * SECOND;
+        let mut p = point(k, now, k as f64, 0.0);
+        p.header.capture_ns = now;
+        track.accept(&p, now, &limits()).unwrap();
+    }
+    // The third came at its own time and dropped the first; the tick is of a time before the second.
+    assert_eq!(track.sample(NOW + SECOND / 2, &limits()).unwrap().position_m[0], 1.0);
+    // A path that begins anew in the future has not begun.
+    let mut later = point(3, NOW + 9 * SECOND, 0.7, 0.0);
+    later.header.capture_ns = NOW + 2 * SECOND;
+    let mut fresh = TargetTrack::new(4);
+    fresh.accept(&later, NOW + 2 * SECOND, &limits()).unwrap();
+    assert_eq!(fresh.sample(NOW + 8 * SECOND, &limits()), None);
+    later.valid_from_ns = NOW;
+    later.header.sequence = 4;
+    track.accept(&later, NOW + 2 * SECOND, &limits()).unwrap();
+    assert_eq!(track.sample(NOW + SECOND, &limits()).unwrap().position_m[0], 0.7, "it replaces all after its time");
+    later.valid_from_ns = NOW + 9 * SECOND;
+    later.header.sequence = 5;
+    track.clear();
+    track.accept(&later, NOW + 2 * SECOND, &limits()).unwrap();
+    assert_eq!(track.sample(NOW + 8 * SECOND, &limits()), None);
+}
+
+#[test]
 fn malformed_targets_are_refused_one_by_one() {
     let refused = |cause: RejectCause, change: &dyn Fn(&mut Target)| {
         let mut track = TargetTrack::new(4);
