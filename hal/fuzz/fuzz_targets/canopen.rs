@@ -25,7 +25,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let (head, payload) = data.split_at((4 * usize::from(entries % 9)).min(data.len()));
     let mapped: Vec<Mapped> =
         head.chunks_exact(4).map(|w| Mapped::decode(u32::from_le_bytes([w[0], w[1], w[2], w[3]]))).collect();
-    if let Ok(mapping) = Mapping::new(&mapped)
+    if let Ok(mapping) = Mapping::new(&mapped, 64)
         && let Some(parts) = mapping.split(payload)
     {
         let total: usize = parts.map(|(_, bytes)| bytes.len()).sum();
