@@ -2,76 +2,31 @@
 //! what the drives do by themselves. Each test is a row of `hal/FAULTS.md`. The clock is a number: a period is 10 ms.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod bench;
+
+use bench::{MS, MemoryBus, node};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::drive::{Drive, DriveBank, Nameplate, Pumped};
 use sim_plant::wire::{WireFault, WireFaults};
-use sinew_hal::can::{BusCounters, BusState, CanBus, Filter, Frame, Id, ReceiveError, Received, SendError};
+use sinew_hal::can::{Frame, Id};
+use sinew_hal::canopen::NmtState;
 use sinew_hal::canopen::emcy::code;
 use sinew_hal::canopen::sdo_client::SdoError;
-use sinew_hal::canopen::{NmtState, NodeId};
 use sinew_hal::cia402::{
     CycleWriter, DriveSetup, Fault, Goal, Layout, Master, MasterConfig, ObjectWrite, Phase, Progress, State,
 };
 use sinew_hal::clock::Lockstep;
 use sinew_hal::fault_shim::FaultShim;
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
-const MS: u64 = 1_000_000;
 const PERIOD_MS: u64 = 10;
 /// As shipped in `config/drives.toml`: SYNC 0.1 s, heartbeat 0.15 s.
 const SYNC_TIMEOUT_US: u32 = 100_000;
 const HEARTBEAT_TIMEOUT_MS: u16 = 150;
 const NODES: [u8; 3] = [1, 2, 3];
-
-type Queues = Arc<Mutex<Vec<VecDeque<Received>>>>;
-
-/// A bus in memory: every handle has a queue, a frame goes into all queues but the sender's.
-struct MemoryBus {
-    queues: Queues,
-    me: usize,
-}
-
-impl MemoryBus {
-    fn on(queues: &Queues) -> Self {
-        let mut q = queues.lock().unwrap();
-        q.push(VecDeque::new());
-        Self { queues: queues.clone(), me: q.len() - 1 }
-    }
-}
-
-impl CanBus for MemoryBus {
-    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
-        for (i, q) in self.queues.lock().unwrap().iter_mut().enumerate() {
-            if i != self.me {
-                q.push_back(Received { frame: *frame, time_ns: 0 });
-            }
-        }
-        Ok(())
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
-        Ok(self.queues.lock().unwrap()[self.me].pop_front())
-    }
-    fn state(&self) -> BusState {
-        BusState::ErrorActive
-    }
-    fn counters(&self) -> BusCounters {
-        BusCounters::default()
-    }
-    fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
-        Ok(Box::new(Self::on(&self.queues)))
-    }
-}
-
-fn node(n: u8) -> NodeId {
-    NodeId::new(n).unwrap()
-}
 
 /// A master, a wire with faults, three drives.
 struct Bench {
@@ -98,11 +53,11 @@ impl Bench {
         config.drive_heartbeat_timeout_ms = HEARTBEAT_TIMEOUT_MS;
         config.rpdo_timeout_ms = (SYNC_TIMEOUT_US / 1000) as u16;
         config.layouts = vec![layout];
-        let queues = Queues::default();
+        let bus = MemoryBus::new();
         let clock = Arc::new(Lockstep::new(0));
         let bank = DriveBank::new(NODES.iter().map(|n| Drive::new(node(*n), Nameplate::default(), 0)).collect());
-        let far = FaultShim::clean(MemoryBus::on(&queues), seed, clock.clone());
-        let mut master = Master::new(config, vec![Box::new(MemoryBus::on(&queues))]).unwrap();
+        let far = FaultShim::clean(bus.handle(), seed, clock.clone());
+        let mut master = Master::new(config, vec![Box::new(bus)]).unwrap();
         master.start(0);
         let mut bench = Self { now_ns: 0, clock, master, wire: far, bank };
         bench.disturb(wire);

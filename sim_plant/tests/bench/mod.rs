@@ -30,7 +30,8 @@ impl MemoryBus {
     pub fn new() -> Self {
         Self { queues: Arc::new(Mutex::new(vec![VecDeque::new()])), refused: Arc::default(), me: 0 }
     }
-    fn handle(&self) -> Self {
+    /// Another handle.
+    pub fn handle(&self) -> Self {
         let mut q = self.queues.lock().unwrap();
         q.push(VecDeque::new());
         Self { queues: self.queues.clone(), refused: self.refused.clone(), me: q.len() - 1 }
