@@ -56,9 +56,9 @@ class DriveTest(unittest.TestCase):
         self.assertEqual(caught.exception.code, code, hex(caught.exception.code))
 
     def drive_state(self):
-        return next(
-            name for name, (mask, bits) in State402.SW_MASK.items() if self.node.sdo[0x6041].raw & mask == bits
-        )
+        # Read once: a drive that changes its state between two reads would match no row.
+        word = self.node.sdo[0x6041].raw
+        return next(name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits)
 
     def command(self, word):
         self.node.sdo[0x6040].raw = word
