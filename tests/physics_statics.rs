@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Rotation3, UnitQuaternion, Vector3, Vector4};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::{ArmConfig, ChordRule, Routing, StrainRule};
-use sinew::integrator::{AffineMap, StaticsError, Stepper, equilibrium};
+use sinew::integrator::{StaticsError, Stepper, equilibrium};
 use sinew::math::quaternion::product;
 use sinew::model::{Arm, Linearization, Motion, Rates, State};
 use support::arms::*;
@@ -168,21 +168,9 @@ fn under_weight(rules: (ChordRule, StrainRule), elements: usize, load: f64) -> (
     (config.chord, config.strain) = rules;
     config.segments[0].backbone_mass_kgpm = 0.0;
     config.payload.mass_kg = 1.0;
-    let mut arm = Arm::new(&config);
-    let mut state = State::at_rest(arm.straight());
-    let (mut stepper, mut map) = (Stepper::new(&arm), AffineMap::new(&arm));
-    let mut dx = vec![0.0; map.x0.len()];
-    // `equilibrium` grows tensions in steps, not weights; plain Newton does for small steps of the weight.
-    for step in 1..=40 {
-        arm.gravity = Vector3::new(0.0, 0.0, -load * EI / LENGTH.powi(2)) * (f64::from(step) / 40.0);
-        for _ in 0..6 {
-            stepper.linearize(&arm, &Motion::from(&state), &[0.0; 4], Rates::STATIC).unwrap();
-            stepper.affine_map_into(&mut map);
-            map.evaluate_into(&[0.0; 4], &mut dx);
-            stepper.apply(&dx, Rates::STATIC, &mut state);
-        }
-    }
-    equilibrium(&arm, &mut stepper, &[0.0; 4], &mut state).unwrap();
+    config.gravity_mps2 = [0.0, 0.0, -load * EI / LENGTH.powi(2)];
+    let arm = Arm::new(&config);
+    let state = solve(&arm, &[0.0; 4]);
     (arm, state)
 }
 
