@@ -125,8 +125,17 @@ impl Demo {
                 eprintln!("stopped by a fault after {:.1} s of {} s", judged.reached_s, setup.duration_s);
                 Ok(Outcome::Failed)
             }
-            Ending::Done if judged.contact || !summary.faults.is_empty() => Ok(Outcome::Failed),
-            Ending::Done => Ok(Outcome::Done),
+            Ending::Done => {
+                let held = &judged.held;
+                if held.for_s > 0.0 {
+                    let end = if held.at_end { ", and did to the end" } else { "" };
+                    eprintln!("the arm held for {:.2} s, first at {:.2} s{end}", held.for_s, held.from_s);
+                }
+                // A hold is what is declared for a killed client; else the arm was to follow its path.
+                let given_up = held.at_end && self.kill_obstacle_client_at.is_none();
+                let failed = judged.contact || !summary.faults.is_empty() || given_up;
+                Ok(if failed { Outcome::Failed } else { Outcome::Done })
+            }
         }
     }
 

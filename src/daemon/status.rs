@@ -422,6 +422,7 @@ mod tests {
         assert_eq!(fault.what, "an encoder is silent (cable 3)");
         assert!(fault.clears.contains("clear"));
     }
+
     #[test]
     fn a_tick_is_noted_without_waiting_for_a_report_under_way_and_not_forgotten() {
         let shared = Arc::new(Shared::new(Fixed { period_s: 0.001, ..Fixed::default() }));

@@ -32,6 +32,19 @@ pub(super) struct Judged {
     pub(super) contact: bool,
     /// Scenario time reached (s).
     pub(super) reached_s: f64,
+    /// Where the arm held or stopped instead of following its path.
+    pub(super) held: Held,
+}
+
+/// Times without tracking, up to the first fault.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Held {
+    /// All of them together (s).
+    pub(super) for_s: f64,
+    /// Scenario time at which the first one began (s).
+    pub(super) from_s: f64,
+    /// Whether the run ended in one.
+    pub(super) at_end: bool,
 }
 
 /// One of the daemon's ticks.
@@ -125,16 +138,13 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
     collector.set_missed(missed);
     faults(&records, origin_ns, &mut collector);
-    if let Some(stopped) = run.iter().find(|r| !r.tracks && r.fault.0 == 0) {
-        let at = (stopped.capture_ns.saturating_sub(origin_ns)) as f64 * 1e-9;
-        tracing::info!(at_s = at, "the arm held");
-    }
     let planner = &setup.config.planner;
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, planner.lookahead_s, true);
     Ok(Judged {
         contact: setup.scenario.planner.avoidance && collector.contact(BodyModel::Arm, 0.0),
         summary,
         reached_s,
+        held: held(&run, origin_ns, period_s),
     })
 }
 
@@ -145,7 +155,17 @@ fn never_tracked(setup: &Setup, records: &[Record]) -> Judged {
     faults(records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
     let (period_s, lookahead_s) = (setup.config.timing.period_s, setup.config.planner.lookahead_s);
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, lookahead_s, true);
-    Judged { summary, contact: false, reached_s: 0.0 }
+    Judged { summary, contact: false, reached_s: 0.0, held: Held::default() }
+}
+
+fn held(run: &[&Record], origin_ns: u64, period_s: f64) -> Held {
+    let holds = |r: &&&Record| !r.tracks && r.fault.0 == 0;
+    let first = run.iter().find(holds);
+    Held {
+        for_s: period_s * run.iter().filter(holds).count() as f64,
+        from_s: first.map_or(0.0, |r| (r.capture_ns as f64 - origin_ns as f64) * 1e-9),
+        at_end: run.last().is_some_and(|last| holds(&last)),
+    }
 }
 
 fn collector(setup: &Setup) -> Collector {
@@ -358,4 +378,37 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn node(value: &Value) -> [f64; 7] {
     let (r, q) = (numbers(&value["position_m"]), numbers(&value["quaternion"]));
     std::array::from_fn(|i| r.iter().chain(&q).nth(i).copied().unwrap_or(f64::NAN))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hold_is_told_by_its_time_and_whether_it_lasted() {
+        let held_of = |ticks: &[(bool, u64)]| {
+            let record = |(k, (tracks, fault)): (usize, &(bool, u64))| Record {
+                tick: k as u64,
+                capture_ns: 1_000_000_000 + 10_000_000 * k as u64,
+                tracks: *tracks,
+                tensions: Vec::new(),
+                branch: 0,
+                iterations: 0,
+                plan_ns: 0,
+                cycle_ns: 0,
+                wakeup_ns: 0,
+                missed: 0,
+                fault: (*fault, 0),
+            };
+            let records: Vec<Record> = ticks.iter().enumerate().map(record).collect();
+            held(&records.iter().collect::<Vec<_>>(), 1_000_000_000, 0.01)
+        };
+        assert_eq!(held_of(&[(true, 0); 5]), Held::default());
+        let (tracks, holds, faulted) = ((true, 0), (false, 0), (false, 13));
+        let passing = held_of(&[tracks, holds, holds, tracks]);
+        assert!((passing.for_s - 0.02).abs() < 1e-9 && (passing.from_s - 0.01).abs() < 1e-9 && !passing.at_end);
+        assert!(held_of(&[tracks, tracks, holds]).at_end);
+        // A fault is told by itself.
+        assert_eq!(held_of(&[tracks, faulted]), Held::default());
+    }
 }
