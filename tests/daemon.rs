@@ -148,8 +148,15 @@ fn run_into(fault: &str) -> Ran {
     let ticker = TickClient::new(&place).spawn();
     let report = place.until("a fault", |s| s.fault.is_some());
     place.until("drives off", |s| s.drives.enabled == 0);
-    let state = place.client().states().unwrap().wait(WAIT).unwrap().unwrap();
-    assert!(state.tension_command_n[..24].iter().all(|t| *t == 0.0), "{:?}", &state.tension_command_n[..24]);
+    // The status and the states come by different threads: the tick that sees the drives off may be one later.
+    let (states, deadline) = (place.client().states().unwrap(), Instant::now() + WAIT);
+    let state = loop {
+        let state = states.wait(WAIT).unwrap().unwrap();
+        if state.tension_command_n[..24].iter().all(|t| *t == 0.0) {
+            break state;
+        }
+        assert!(Instant::now() < deadline, "{:?}", &state.tension_command_n[..24]);
+    };
     assert_eq!(state.supervisor, SupervisorState::Faulted.wire());
     assert!(!place.request(RequestKind::Arm).is_accepted(), "a latched fault must be cleared first");
     let fault = report.fault.unwrap();
