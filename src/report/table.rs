@@ -94,7 +94,10 @@ fn short(v: &Value) -> String {
         Value::Null => "-".into(),
         Value::Number(n) if n.is_f64() => {
             let x = n.as_f64().unwrap_or(f64::NAN);
-            if x != 0.0 && (x.abs() < 1e-2 || x.abs() >= 1e4) { format!("{x:.2e}") } else { format!("{x:.4}") }
+            if x != 0.0 && (x.abs() < 1e-2 || x.abs() >= 1e4) {
+                return format!("{x:.2e}");
+            }
+            format!("{x:.4}").trim_end_matches('0').trim_end_matches('.').to_owned()
         }
         Value::Number(n) => n.to_string(),
         Value::String(s) => s.clone(),

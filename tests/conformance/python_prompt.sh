@@ -8,7 +8,8 @@ cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 target="${CARGO_TARGET_DIR:-target}"
 plant="${SINEW_PLANT:-}"
 if [ -z "$plant" ]; then
-    cargo build -q -p sim_plant
+    # The selection of packages decides their features: another one than the tests' would compile everything again.
+    cargo build -q --workspace --bins --example canopen_bench
     plant="$target/debug/sim_plant"
 fi
 python=$(tests/conformance/python)
