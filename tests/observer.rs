@@ -4,7 +4,7 @@
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use nalgebra::{DMatrix, DVector};
-use sinew::config::{ArmConfig, ObserverConfig, Routing};
+use sinew::config::{ArmConfig, Config, ObserverConfig, Routing};
 use sinew::estimator::{CableSpace, Observer, StartError};
 use sinew::integrator::{Scheme, Stepper, consistent_start, equilibrium};
 use sinew::model::{Arm, State};
@@ -15,22 +15,7 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 const PERIOD: f64 = 0.01;
 
 fn settings() -> ObserverConfig {
-    ObserverConfig {
-        model_damping_ratio: 2.5,
-        rho_inf: 0.0,
-        stiffness_ratio: 2.0,
-        damping_s: 2.0,
-        filter_time_s: 0.3,
-        disturbance_time_s: 0.6,
-        settle_innovation_rad: 0.01,
-        settle_rate_radps: 0.01,
-        settle_time_s: 0.5,
-        settle_timeout_s: 20.0,
-        innovation_bound_rad: 0.3,
-        innovation_growth_rad: 0.15,
-        innovation_window_s: 0.1,
-        latency_ticks: 0,
-    }
+    ObserverConfig { disturbance_time_s: 0.6, ..Config::builtin().observer }
 }
 
 fn small_arm() -> ArmConfig {

@@ -187,12 +187,10 @@ fn read(table: &Section<'_>, config: &Config) -> PlantConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sinew::config::BUILTIN_FILES;
+    use sinew::config::{BUILTIN_FILES, builtin_texts};
 
     fn texts(plant: &str) -> Vec<(String, String)> {
-        let shipped =
-            BUILTIN_FILES.iter().filter(|(name, _)| ["arm.toml", "controller.toml", "drives.toml"].contains(name));
-        let mut texts: Vec<_> = shipped.map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+        let mut texts = builtin_texts("drives.toml");
         texts.push(("plant.toml".into(), plant.into()));
         texts
     }

@@ -1,5 +1,6 @@
 //! The files of `config/` inside the binary, so that an installed program works without a checkout.
 
+use super::Config;
 use super::arm::ArmConfig;
 use super::error::{ConfigError, Problem};
 
@@ -39,6 +40,23 @@ pub(super) fn no_such_scenario(name: &str) -> ConfigError {
             label: String::new(),
             help: format!("built-in scenarios: {}", names.join(", ")),
         }],
+    }
+}
+
+/// Texts of the built-in files that make a configuration, with one of the files of drives.
+pub fn builtin_texts(drives: &str) -> Vec<(String, String)> {
+    let texts = BUILTIN_FILES.iter().filter(|(name, _)| ["arm.toml", "controller.toml", drives].contains(name));
+    texts.map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect()
+}
+
+impl Config {
+    /// The demonstrations' configuration: arm and controller of the built-in files, 24 drives on one virtual bus.
+    ///
+    /// # Panics
+    /// Never in a program that passed its tests: the files are part of the binary.
+    #[expect(clippy::expect_used, reason = "the texts are constants of the program, read by a test")]
+    pub fn builtin() -> Self {
+        Self::parse(builtin_texts("drives.toml")).expect("the built-in configuration is valid")
     }
 }
 

@@ -31,7 +31,7 @@ mod weights;
 
 pub use arm::*;
 pub use arm_file::ARM;
-pub use builtin::{BUILTIN_FILES, SCENARIOS};
+pub use builtin::{BUILTIN_FILES, SCENARIOS, builtin_texts};
 pub use check::SummaryLine;
 pub use drives::{BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX};
 pub use error::ConfigError;

@@ -8,34 +8,9 @@ const ENABLED: DrivesInput = DrivesInput { phase: DrivesPhase::Enabled, ready: t
 const OFF: DrivesInput = DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None };
 
 fn supervisor() -> Supervisor {
-    let observer = crate::config::ObserverConfig {
-        model_damping_ratio: 2.5,
-        rho_inf: 0.0,
-        stiffness_ratio: 3.0,
-        damping_s: 2.0,
-        filter_time_s: 0.3,
-        disturbance_time_s: 1.0,
-        settle_innovation_rad: 0.01,
-        settle_rate_radps: 0.01,
-        settle_time_s: 0.5,
-        settle_timeout_s: 20.0,
-        innovation_bound_rad: 0.3,
-        innovation_growth_rad: 0.15,
-        innovation_window_s: 0.1,
-        latency_ticks: 0,
-    };
-    let timing = LoopConfig {
-        period_s: 0.01,
-        cpu: None,
-        priority: 0,
-        lock_memory: false,
-        require_realtime: false,
-        overruns_hold: 2,
-        ramp_s: 0.5,
-        overruns_fault: 5,
-        reserve_s: 0.0002,
-    };
-    Supervisor::new(&timing, &observer)
+    let config = crate::config::Config::builtin();
+    let timing = LoopConfig { overruns_fault: 5, ..config.timing };
+    Supervisor::new(&timing, &config.observer)
 }
 
 /// Everything as it should be while the arm is under power.

@@ -173,19 +173,14 @@ pub fn open_buses(config: &Config) -> Result<Vec<Box<dyn CanBus>>, DaemonError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::BUILTIN_FILES;
+    use crate::config::builtin_texts;
 
     fn config(change: impl Fn(&mut Config)) -> Config {
         config_with("drives.toml", change)
     }
 
     fn config_with(drives: &str, change: impl Fn(&mut Config)) -> Config {
-        let texts = BUILTIN_FILES
-            .iter()
-            .filter(|(name, _)| ["arm.toml", "controller.toml", drives].contains(name))
-            .map(|(name, text)| ((*name).to_owned(), (*text).to_owned()))
-            .collect();
-        let mut config = Config::parse(texts).unwrap();
+        let mut config = Config::parse(builtin_texts(drives)).unwrap();
         change(&mut config);
         config
     }

@@ -118,16 +118,9 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::BUILTIN_FILES;
-
     #[test]
     fn the_warm_up_walks_every_mode_without_a_fault() {
-        let texts = BUILTIN_FILES
-            .iter()
-            .filter(|(name, _)| ["arm.toml", "controller.toml", "drives.toml"].contains(name))
-            .map(|(name, text)| ((*name).to_owned(), (*text).to_owned()))
-            .collect();
-        let config = Config::parse(texts).unwrap();
+        let config = Config::builtin();
         let modes = warm_up(&config, &Settings::new(&config));
         for mode in [Mode::Starting, Mode::Holding, Mode::Tracking, Mode::Stopping] {
             assert!(modes.contains(&mode), "{mode:?} is not in {modes:?}");

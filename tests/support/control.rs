@@ -20,17 +20,9 @@ pub const PERIOD_NS: u64 = 10_000_000;
 
 /// Settings of the paper's arm at 100 Hz.
 pub fn settings() -> Settings {
-    let timing = LoopConfig {
-        period_s: PERIOD_S,
-        cpu: None,
-        priority: 0,
-        lock_memory: false,
-        require_realtime: false,
-        overruns_hold: 2,
-        ramp_s: 0.5,
-        overruns_fault: 10,
-        reserve_s: 0.0002,
-    };
+    let config = Config::builtin();
+    // Nothing of the machine's: the tests' threads are ordinary ones.
+    let timing = LoopConfig { priority: 0, lock_memory: false, ..config.timing };
     let planner = PlannerConfig {
         period_s: PERIOD_S,
         newton_iterations_max: 2,
@@ -48,41 +40,9 @@ pub fn settings() -> Settings {
         },
         ..planner_settings::planner_config(WarningBranch::Seeded)
     };
-    let weights = WeightsConfig {
-        tip: TipWeights {
-            tension: 1.0,
-            tension_change: vec![1e4, 2e4, 3e4, 4e4],
-            pose: 5e12,
-            rate: 5e10,
-            damping: 1e8,
-        },
-        shape: ShapeWeights { tension: 1.0, tension_change: vec![2e6; 4], curvature: 1e10 },
-    };
-    let observer = ObserverConfig {
-        model_damping_ratio: 2.5,
-        rho_inf: 0.0,
-        stiffness_ratio: 3.0,
-        damping_s: 2.0,
-        filter_time_s: 0.3,
-        disturbance_time_s: 1.0,
-        settle_innovation_rad: 0.01,
-        settle_rate_radps: 0.01,
-        settle_time_s: 0.5,
-        settle_timeout_s: 2.0,
-        innovation_bound_rad: 0.3,
-        innovation_growth_rad: 0.15,
-        innovation_window_s: 0.1,
-        latency_ticks: 0,
-    };
-    let guard = GuardConfig {
-        tension_rate_npsmax: f64::INFINITY,
-        box_tolerance_n: 1e-9,
-        encoder_jump_m: 0.01,
-        encoder_stuck_s: 0.5,
-        encoder_stuck_motion_m: 0.002,
-        encoder_silent_s: 0.05,
-    };
-    Settings::from_parts(ArmConfig::paper(), timing, planner, weights, observer, guard)
+    let observer =
+        ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
+    Settings::from_parts(config.arm, timing, planner, config.weights, observer, config.guard)
 }
 
 /// The same with a pretension: the safe value is not zero.

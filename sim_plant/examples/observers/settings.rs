@@ -5,7 +5,9 @@ mod planner_settings;
 
 use crate::closed_loop::Settings;
 use crate::scenario::{Scenario, ScenarioName};
-use sinew::config::{ArmConfig, BarrierConfig, BodyModel, ObserverConfig, PlannerConfig, SwarmConfig, WarningBranch};
+use sinew::config::{
+    ArmConfig, BarrierConfig, BodyModel, Config, ObserverConfig, PlannerConfig, SwarmConfig, WarningBranch,
+};
 use sinew::integrator::Scheme;
 
 /// Choices of a run; the default is what the study found best.
@@ -86,14 +88,7 @@ impl Choice {
             damping_s: self.damping,
             filter_time_s: self.filter,
             disturbance_time_s: self.disturbance_time,
-            settle_innovation_rad: 0.01,
-            settle_rate_radps: 0.01,
-            settle_time_s: 0.5,
-            settle_timeout_s: 20.0,
-            innovation_bound_rad: 0.3,
-            innovation_growth_rad: 0.15,
-            innovation_window_s: 0.1,
-            latency_ticks: 0,
+            ..Config::builtin().observer
         };
         let planner = PlannerConfig {
             lookahead_s: self.lookahead,
