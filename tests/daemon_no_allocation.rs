@@ -17,7 +17,8 @@ static GUARD: AllocDisabler = AllocDisabler;
 const TICKS: u64 = 10_000;
 static GUARDED: AtomicU64 = AtomicU64::new(0);
 
-/// Every tick of the control thread comes through here, the arming and the observer's start among them; an allocation under the guard ends the process.
+/// Every tick of the control thread comes through here, the arming and the observer's start among them; an allocation
+/// under the guard ends the process.
 fn around(tick: &mut dyn FnMut()) {
     assert_no_alloc(tick);
     GUARDED.fetch_add(1, Ordering::Relaxed);

@@ -21,8 +21,6 @@ pub const PERIOD_NS: u64 = 10_000_000;
 /// Settings of the paper's arm at 100 Hz.
 pub fn settings() -> Settings {
     let config = Config::builtin();
-    // Nothing of the machine's: the tests' threads are ordinary ones.
-    let timing = LoopConfig { priority: 0, lock_memory: false, ..config.timing };
     let planner = PlannerConfig {
         period_s: PERIOD_S,
         newton_iterations_max: 2,
@@ -42,7 +40,7 @@ pub fn settings() -> Settings {
     };
     let observer =
         ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
-    Settings::from_parts(config.arm, timing, planner, config.weights, observer, config.guard)
+    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, config.guard)
 }
 
 /// The same with a pretension: the safe value is not zero.
