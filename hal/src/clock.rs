@@ -6,6 +6,7 @@
 //! Must never: read the wall clock, which can be set back while the loop runs.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use rustix::io::Errno;
 use rustix::thread::ClockId;
@@ -62,6 +63,44 @@ impl Clock for Monotonic {
         let deadline = timespec(deadline_ns);
         // An absolute sleep interrupted by a signal is simply repeated; any other error cannot happen with a valid time.
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(Errno::INTR) {}
+    }
+}
+
+/// Longest that [`Naps`] looks again at once, and its shortest and longest nap (ns).
+const LOOK_NS: u64 = 200_000;
+const NAP_NS: u64 = 20_000;
+const NAP_NS_MAX: u64 = 2_000_000;
+/// A nap is this part of the wait so far.
+const NAP_PART: u64 = 32;
+
+/// How to wait in real time for another thread or process that cannot wake the one who waits: by looking again, at first
+/// at once, then after naps that grow with the wait. That makes no wait much longer, and keeps no processor from who
+/// computes what is waited for: an emulated or busy machine may need it. Does not allocate.
+#[derive(Debug, Clone, Copy)]
+pub struct Naps {
+    since_ns: u64,
+}
+
+impl Naps {
+    /// A wait that begins now.
+    #[must_use]
+    pub fn begin() -> Self {
+        Self { since_ns: monotonic_ns() }
+    }
+
+    /// How long it has lasted (ns).
+    pub fn waited_ns(&self) -> u64 {
+        monotonic_ns().saturating_sub(self.since_ns)
+    }
+
+    /// Leaves the processor until the next look.
+    pub fn nap(&self) {
+        let waited_ns = self.waited_ns();
+        if waited_ns < LOOK_NS {
+            std::thread::yield_now();
+        } else {
+            std::thread::sleep(Duration::from_nanos((waited_ns / NAP_PART).clamp(NAP_NS, NAP_NS_MAX)));
+        }
     }
 }
 
