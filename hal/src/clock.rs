@@ -69,7 +69,7 @@ impl Clock for Monotonic {
 /// Longest that [`Naps`] looks again at once, and its shortest and longest nap (ns).
 const LOOK_NS: u64 = 200_000;
 const NAP_NS: u64 = 20_000;
-const NAP_NS_MAX: u64 = 2_000_000;
+const NAP_NS_MAX: u64 = 5_000_000;
 /// A nap is this part of the wait so far.
 const NAP_PART: u64 = 32;
 
@@ -93,13 +93,20 @@ impl Naps {
         monotonic_ns().saturating_sub(self.since_ns)
     }
 
-    /// Leaves the processor until the next look.
-    pub fn nap(&self) {
+    /// How long the next nap is; zero at first.
+    pub fn length(&self) -> Duration {
         let waited_ns = self.waited_ns();
         if waited_ns < LOOK_NS {
-            std::thread::yield_now();
-        } else {
-            std::thread::sleep(Duration::from_nanos((waited_ns / NAP_PART).clamp(NAP_NS, NAP_NS_MAX)));
+            return Duration::ZERO;
+        }
+        Duration::from_nanos((waited_ns / NAP_PART).clamp(NAP_NS, NAP_NS_MAX))
+    }
+
+    /// Leaves the processor until the next look.
+    pub fn nap(&self) {
+        match self.length() {
+            Duration::ZERO => std::thread::yield_now(),
+            length => std::thread::sleep(length),
         }
     }
 }

@@ -71,13 +71,13 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("binaries")
     parser.add_argument("interfaces", nargs="+")
-    parser.add_argument("--duration", type=float, default=1.0, help="seconds of the scenario, after its approach of 4 s")
+    parser.add_argument("--duration", type=float, default=10.0, help="seconds of the scenario, after its approach of 4 s")
     arguments = parser.parse_args()
     interfaces = arguments.interfaces
     print(f"Linux {os.uname().release}, {len(interfaces)} bus(es): {', '.join(interfaces)}", flush=True)
 
     with tempfile.TemporaryDirectory() as folder:
-        changes = {"controller.toml": {"period_s": PERIOD_S}, "plant.toml": {"step_s": 0.01}}
+        changes = {"controller.toml": {"period_s": PERIOD_S}, "plant.toml": {"step_s": PERIOD_S}}
         config = arm.configuration(folder, len(interfaces), changes)
         keep = os.path.join(folder, "kept")
         log = os.path.join(folder, "candump.log")
