@@ -53,7 +53,7 @@ impl Bench {
         config.drive_heartbeat_timeout_ms = HEARTBEAT_TIMEOUT_MS;
         config.rpdo_timeout_ms = (SYNC_TIMEOUT_US / 1000) as u16;
         config.layouts = vec![layout];
-        let bus = MemoryBus::new();
+        let bus = MemoryBus::default();
         let clock = Arc::new(Lockstep::new(0));
         let bank = DriveBank::new(NODES.iter().map(|n| Drive::new(node(*n), Nameplate::default(), 0)).collect());
         let far = FaultShim::clean(bus.handle(), seed, clock.clone());

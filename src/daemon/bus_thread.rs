@@ -4,6 +4,7 @@
 //! Enters: frames of every bus, the control thread's wish. Leaves: `encoders` in shared memory, the drives' state for
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
+use super::drive_causes::{HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NOT_USABLE, cause_of, cause_text};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
 use crate::config::{BusConfig, Config};
@@ -42,61 +43,6 @@ const QUIET_NS: u64 = 50_000_000;
 const ANSWERS_NS: u64 = 2_000_000;
 /// Interval of the statistics (ns).
 const STATISTICS_NS: u64 = 500_000_000;
-
-/// Causes that the master names and that have no emergency code; emergency codes are 0x1000 and above.
-const CAUSES: [&str; 9] = [
-    "fault without an emergency object",
-    "not usable: configuration failed",
-    "no boot-up after the reset",
-    "wrong NMT state",
-    "restarted by itself",
-    "heartbeat lost",
-    "a transition of the power state machine did not happen",
-    "no feedback",
-    "left torque operation by itself",
-];
-
-/// A drive fault's cause in words.
-pub fn cause_text(cause: u32) -> String {
-    match usize::try_from(cause).ok().and_then(|c| CAUSES.get(c)) {
-        Some(text) => (*text).to_owned(),
-        None => format!("emergency code {cause:04X}"),
-    }
-}
-
-const NO_EMERGENCY: u32 = 0;
-const NOT_USABLE: u32 = 1;
-const HEARTBEAT_LOST: u32 = 5;
-const NO_FEEDBACK: u32 = 7;
-
-fn cause_of(fault: &Fault) -> u32 {
-    match fault {
-        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => NOT_USABLE,
-        Fault::NoBootUp { .. } => 2,
-        Fault::Nmt { .. } => 3,
-        Fault::Rebooted => 4,
-        Fault::HeartbeatLost { .. } => HEARTBEAT_LOST,
-        Fault::Transition { .. } => 6,
-        Fault::NoFeedback { .. } => NO_FEEDBACK,
-        Fault::LeftOperation { .. } => 8,
-        Fault::Emergency(e) => u32::from(e.code),
-    }
-}
-
-/// What is remembered of a drive beside what the master knows.
-#[derive(Debug, Clone, Copy, Default)]
-struct Memory {
-    /// Heartbeat lost and not back.
-    lost: bool,
-    /// It answers no SYNC, although it was operational; what is ordered would not reach it either.
-    mute: bool,
-    /// It was up once, so that silence means something.
-    seen: bool,
-    /// Last emergency code.
-    emergency: Option<u32>,
-    /// A cause that stays until a reset, although the drive's state no longer shows it.
-    sticky: Option<u32>,
-}
 
 /// One bus as this thread listens to it.
 struct Line {
