@@ -164,6 +164,18 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
+    fn naps_grow_with_the_wait_up_to_the_longest() {
+        let after = |waited_ns: u64| Naps { since_ns: monotonic_ns() - waited_ns }.length();
+        assert!(after(64_000_000) >= Duration::from_millis(2));
+        assert_eq!(after(1_000_000_000), Duration::from_nanos(NAP_NS_MAX));
+        let waits = Naps::begin();
+        while waits.length() == Duration::ZERO {
+            waits.nap();
+        }
+        assert!(waits.waited_ns() >= LOOK_NS && waits.length() >= Duration::from_nanos(NAP_NS));
+    }
+
+    #[test]
     fn a_monotonic_sleep_never_ends_before_its_deadline() {
         for step in [0, 1_000, 200_000, 3_000_000] {
             let deadline = Monotonic.now_ns() + step;
