@@ -292,13 +292,14 @@ impl BusThread {
         let lockstep = self.time.is_lockstep() && self.epoch_ns != 0;
         let now_ns = if lockstep { self.epoch_ns + self.time.now_ns() } else { now_ns };
         self.master.on_frame(bus, received, now_ns);
-        if let Some(Message::Heartbeat(node)) = Message::of(&received.frame)
+        let message = Message::of(&received.frame);
+        if let Some(Message::Heartbeat(node)) = message
             && let Some(drive) = self.node_to_drive.iter().position(|d| *d == (bus, node.get()))
         {
             self.memory[drive].lost = false;
             self.memory[drive].seen = true;
         }
-        if self.time.is_lockstep() && Message::of(&received.frame) == Some(Message::Time) {
+        if self.time.is_lockstep() && message == Some(Message::Time) {
             // Nothing more comes of this cycle: what is missing is missing, as it is at a tick's deadline in real time.
             // Which one is said by the SYNC before it on the same bus: on another one the next may have begun.
             let cycle = self.decoder.cycle();
