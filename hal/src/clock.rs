@@ -6,6 +6,7 @@
 //! Must never: read the wall clock, which can be set back while the loop runs.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use rustix::io::Errno;
 use rustix::thread::ClockId;
@@ -65,6 +66,51 @@ impl Clock for Monotonic {
     }
 }
 
+/// Longest that [`Naps`] looks again at once, and its shortest and longest nap (ns).
+const LOOK_NS: u64 = 200_000;
+const NAP_NS: u64 = 20_000;
+const NAP_NS_MAX: u64 = 5_000_000;
+/// A nap is this part of the wait so far.
+const NAP_PART: u64 = 32;
+
+/// How to wait in real time for another thread or process that cannot wake the one who waits: by looking again, at first
+/// at once, then after naps that grow with the wait. That makes no wait much longer, and keeps no processor from who
+/// computes what is waited for: an emulated or busy machine may need it. Does not allocate.
+#[derive(Debug, Clone, Copy)]
+pub struct Naps {
+    since_ns: u64,
+}
+
+impl Naps {
+    /// A wait that begins now.
+    #[must_use]
+    pub fn begin() -> Self {
+        Self { since_ns: monotonic_ns() }
+    }
+
+    /// How long it has lasted (ns).
+    pub fn waited_ns(&self) -> u64 {
+        monotonic_ns().saturating_sub(self.since_ns)
+    }
+
+    /// How long the next nap is; zero at first.
+    pub fn length(&self) -> Duration {
+        let waited_ns = self.waited_ns();
+        if waited_ns < LOOK_NS {
+            return Duration::ZERO;
+        }
+        Duration::from_nanos((waited_ns / NAP_PART).clamp(NAP_NS, NAP_NS_MAX))
+    }
+
+    /// Leaves the processor until the next look.
+    pub fn nap(&self) {
+        match self.length() {
+            Duration::ZERO => std::thread::yield_now(),
+            length => std::thread::sleep(length),
+        }
+    }
+}
+
 /// A clock that stands still until it is told otherwise.
 #[derive(Debug, Default)]
 pub struct Lockstep {
@@ -116,6 +162,18 @@ impl Clock for Lockstep {
 mod tests {
     use super::*;
     use std::sync::Arc;
+
+    #[test]
+    fn naps_grow_with_the_wait_up_to_the_longest() {
+        let after = |waited_ns: u64| Naps { since_ns: monotonic_ns() - waited_ns }.length();
+        assert!(after(64_000_000) >= Duration::from_millis(2));
+        assert_eq!(after(1_000_000_000), Duration::from_nanos(NAP_NS_MAX));
+        let waits = Naps::begin();
+        while waits.length() == Duration::ZERO {
+            waits.nap();
+        }
+        assert!(waits.waited_ns() >= LOOK_NS && waits.length() >= Duration::from_nanos(NAP_NS));
+    }
 
     #[test]
     fn a_monotonic_sleep_never_ends_before_its_deadline() {

@@ -9,6 +9,7 @@ pub mod cia402;
 pub mod clock;
 pub mod fault_shim;
 pub mod load;
+pub mod memory_bus;
 pub mod motor_bank;
 pub mod realtime;
 pub mod socketcan_bus;

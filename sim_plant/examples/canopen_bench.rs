@@ -50,7 +50,8 @@ enum Role {
         /// Torque to command (per mille of rated torque).
         #[arg(long, default_value_t = 100)]
         torque: i16,
-        /// Waits for a line on standard input before it starts.
+        /// Waits for a line on standard input before it starts, and for the input's end before it ends: until then its
+        /// socketcand clients have a server.
         #[arg(long)]
         wait: bool,
     },
@@ -79,7 +80,11 @@ fn main() -> Result<()> {
             if wait {
                 std::io::stdin().read_line(&mut String::new()).into_diagnostic()?;
             }
-            master(bus, &nodes, torque)
+            let result = master(bus, &nodes, torque);
+            if wait {
+                std::io::copy(&mut std::io::stdin(), &mut std::io::sink()).into_diagnostic()?;
+            }
+            result
         }
     };
     drop(server);
@@ -102,7 +107,11 @@ fn drives(mut bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId]) -> Result<
 fn master(bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId], torque: i16) -> Result<()> {
     let drives = nodes.iter().map(|&n| DriveSetup::new(0, n)).collect();
     let mut config = MasterConfig::new(drives, NodeId::new(127).into_diagnostic()?, 10_000);
-    config.sdo_timeout_ms = 500;
+    // Slaves in Python on a busy machine: nothing here is about speed.
+    config.sdo_timeout_ms = 2000;
+    config.transition_timeout_ms = 10_000;
+    config.drive_heartbeat_timeout_ms = 5000;
+    config.heartbeat_timeout_ms = 5000;
     let mut receiver = bus.duplicate().into_diagnostic()?;
     let mut master = Master::new(config, vec![bus]).into_diagnostic()?;
     let mut decoder = master.decoder();
@@ -112,7 +121,9 @@ fn master(bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId], torque: i16) -
     run(&mut master, "enabled", |p| p.at_goal)?;
     let mut writer = master.take_writer().ok_or_else(|| miette!("no writer"))?;
     let torques = vec![torque; nodes.len()];
-    for _ in 0..50 {
+    let begun_ns = monotonic_ns();
+    let mut follow = false;
+    while !follow && monotonic_ns() - begun_ns < WITHIN_NS {
         let _ = writer.write_cycle(&torques);
         let end = monotonic_ns() + 10_000_000;
         while monotonic_ns() < end {
@@ -121,6 +132,7 @@ fn master(bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId], torque: i16) -
             }
             master.pump(monotonic_ns());
         }
+        follow = decoder.feedback().iter().all(|f| f.torque_permille == torque);
     }
     for (node, f) in nodes.iter().zip(decoder.feedback()) {
         println!(
@@ -133,8 +145,11 @@ fn master(bus: Box<dyn sinew_hal::can::CanBus>, nodes: &[NodeId], torque: i16) -
     run(&mut master, "disabled", |p| p.at_goal)
 }
 
+/// Time granted to each step of the master (ns).
+const WITHIN_NS: u64 = 20_000_000_000;
+
 fn run(master: &mut Master, what: &str, done: impl Fn(&Progress) -> bool) -> Result<()> {
-    let end = monotonic_ns() + 20_000_000_000;
+    let end = monotonic_ns() + WITHIN_NS;
     while monotonic_ns() < end {
         let p = master.pump(monotonic_ns());
         if let Some(f) = master.take_faults().first() {

@@ -34,7 +34,7 @@ use sinew_hal::canopen::cob::{NodeIdError, SYNC, time_frame};
 use sinew_hal::canopen::emcy::{code, register};
 use sinew_hal::canopen::{Message, NodeId};
 use sinew_hal::cia402::state::State;
-use sinew_hal::clock::{Clock, Lockstep, Monotonic, monotonic_ns};
+use sinew_hal::clock::{Clock, Lockstep, Monotonic, Naps, monotonic_ns};
 use sinew_hal::fault_shim::FaultShim;
 use sinew_hal::realtime;
 use std::collections::VecDeque;
@@ -266,15 +266,18 @@ impl Server {
 
     fn lockstep(&mut self, stop: &AtomicBool) -> Result<(), ServerError> {
         let mut heard_ns = monotonic_ns();
+        let mut idle = Naps::begin();
         self.give_feedback(0.0);
         self.record()?;
         while !stop.load(Ordering::Relaxed) {
             self.poll_drives();
             let mut busy = false;
+            // Nothing is due between two frames.
+            let wait = if self.wires.len() == 1 { WAIT_MAX } else { TURN.max(idle.length()) };
             for index in 0..self.wires.len() {
                 loop {
                     let before = self.wires[index].bus.watched();
-                    let frame = self.receive(index, WAIT_MAX, &mut busy).map(|received| received.frame);
+                    let frame = self.receive(index, wait, &mut busy).map(|received| received.frame);
                     // The controller's SYNC is the clock; whether the drives get it is another matter.
                     let period = self.wires[index].bus.watched() > before;
                     if period {
@@ -296,6 +299,9 @@ impl Server {
                         break;
                     }
                 }
+            }
+            if busy {
+                idle = Naps::begin();
             }
             // One period at a time, so that a SYNC that comes after all is served between two of them.
             let silence_ns = monotonic_ns().saturating_sub(heard_ns);
@@ -371,7 +377,8 @@ impl Server {
         while !stop.load(Ordering::Relaxed) {
             // Read before the buses: what they hold afterwards is newer.
             let looked_ns = monotonic_ns();
-            let wait = Duration::from_nanos((reached_ns + self.step_ns()).saturating_sub(looked_ns));
+            let turn = if self.wires.len() == 1 { WAIT_MAX } else { TURN };
+            let wait = Duration::from_nanos((reached_ns + self.step_ns()).saturating_sub(looked_ns)).min(turn);
             let mut busy = false;
             for index in 0..self.wires.len() {
                 while let Some(received) = self.receive(index, wait, &mut busy) {
@@ -431,11 +438,7 @@ impl Server {
 
     /// The next frame of a bus. Waits only if no bus had one in this round.
     fn receive(&mut self, index: usize, wait: Duration, busy: &mut bool) -> Option<Received> {
-        let wait = match (*busy, self.wires.len()) {
-            (true, _) => Duration::ZERO,
-            (false, 1) => wait.min(WAIT_MAX),
-            (false, _) => wait.min(TURN),
-        };
+        let wait = if *busy { Duration::ZERO } else { wait };
         // A bus that is down comes back by itself; meanwhile `receive` waits its time, and drives hear nothing.
         let received = self.wires[index].bus.receive(wait).ok().flatten()?;
         *busy = true;

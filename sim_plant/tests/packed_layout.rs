@@ -77,7 +77,7 @@ fn sixteen_drives_fit_a_bus_and_seventeen_are_refused() {
 
     let drives = (1..=17).map(|n| DriveSetup::new(0, node(n))).collect();
     let mut config = MasterConfig::new(drives, node(127), 1000);
-    let handles = || vec![Box::new(MemoryBus::new()) as Box<dyn CanBus>];
+    let handles = || vec![Box::new(MemoryBus::default()) as Box<dyn CanBus>];
     assert!(Master::new(config.clone(), handles()).is_ok());
     config.layouts = vec![Layout::Packed];
     let refused = Master::new(config, handles()).err().unwrap();

@@ -53,7 +53,7 @@ impl Bench {
         config.drive_heartbeat_timeout_ms = HEARTBEAT_TIMEOUT_MS;
         config.rpdo_timeout_ms = (SYNC_TIMEOUT_US / 1000) as u16;
         config.layouts = vec![layout];
-        let bus = MemoryBus::new();
+        let bus = MemoryBus::default();
         let clock = Arc::new(Lockstep::new(0));
         let bank = DriveBank::new(NODES.iter().map(|n| Drive::new(node(*n), Nameplate::default(), 0)).collect());
         let far = FaultShim::clean(bus.handle(), seed, clock.clone());
@@ -148,6 +148,26 @@ impl Bench {
             .expect("the drives never went safe")
     }
 
+    /// With all frames there again drives that went safe stay so, and obey after a reset.
+    fn stays_safe_until_reset(&mut self, mut writer: CycleWriter) {
+        self.disturb(&[]);
+        (0..50).for_each(|_| self.cycle(&mut writer));
+        assert_eq!(self.torques(), [0; 3]);
+        assert!(self.bank.drives().iter().all(|d| d.state() == State::Fault));
+        self.master.return_writer(writer);
+        self.master.reset_faults(self.now_ns);
+        self.until("reset", 500, |p| p.at_goal);
+        self.master.set_goal(Goal::Enabled, self.now_ns);
+        self.until("enabled again", 500, |p| p.enabled == 3);
+    }
+
+    /// On a good wire, all come up.
+    fn starts_anew(&mut self) {
+        self.disturb(&[]);
+        self.master.start(self.now_ns);
+        self.until("operational", 10_000, |p| p.at_goal);
+    }
+
     fn codes(&mut self) -> Vec<u16> {
         let faults = self.master.take_faults();
         let code = |f: &sinew_hal::cia402::DriveFault| match f.fault {
@@ -176,15 +196,7 @@ fn drives_without_torques_go_safe() {
         assert_eq!(b.bank.drives()[2].dictionary().int(0x1400, 5), 100);
         assert_eq!(b.periods_to_rest(&mut writer), 14);
         assert_eq!(b.codes(), [code::RPDO_TIMEOUT; 3], "SYNC and heartbeat go on");
-        // The torques are back: that of the drives is not, before a reset.
-        b.disturb(&[]);
-        (0..50).for_each(|_| b.cycle(&mut writer));
-        assert_eq!(b.torques(), [0; 3]);
-        b.master.return_writer(writer);
-        b.master.reset_faults(b.now_ns);
-        b.until("reset", 500, |p| p.at_goal);
-        b.master.set_goal(Goal::Enabled, b.now_ns);
-        b.until("enabled again", 500, |p| p.enabled == 3);
+        b.stays_safe_until_reset(writer);
     }
 }
 
@@ -223,16 +235,7 @@ fn drives_on_a_lost_bus_go_safe_latch_it_and_obey_again_after_a_reset() {
     let (mut b, mut writer) = Bench::enabled(&["drop"]);
     assert_eq!(b.periods_to_rest(&mut writer), 14);
     assert!(b.bank.drives().iter().all(|d| d.state() == State::Fault));
-    // The bus is back: torque is not.
-    b.disturb(&[]);
-    (0..50).for_each(|_| b.cycle(&mut writer));
-    assert_eq!(b.torques(), [0; 3]);
-    assert!(b.bank.drives().iter().all(|d| d.state() == State::Fault));
-    b.master.return_writer(writer);
-    b.master.reset_faults(b.now_ns);
-    b.until("reset", 500, |p| p.at_goal);
-    b.master.set_goal(Goal::Enabled, b.now_ns);
-    b.until("enabled again", 500, |p| p.enabled == 3);
+    b.stays_safe_until_reset(writer);
 }
 
 #[test]
@@ -274,9 +277,7 @@ fn sdo_lost_for_good() {
     let timeout = matches!(faults[0].fault, Fault::Sdo { error: SdoError::Timeout { .. }, .. });
     assert!(faults.len() == 1 && faults[0].drive == 1 && timeout, "{faults:?}");
     // Started anew without the fault, all come up.
-    b.disturb(&[]);
-    b.master.start(b.now_ns);
-    b.until("operational", 3000, |p| p.at_goal);
+    b.starts_anew();
 }
 
 #[test]
@@ -358,9 +359,7 @@ fn nmt_reset_lost() {
     let expected = NmtState::Operational;
     assert!(faults.iter().all(|f| matches!(f.fault, Fault::Nmt { expected: e, .. } if e == expected)), "{faults:?}");
     assert!((1000..2000).contains(&ms), "a second after the configuration: {ms}");
-    b.disturb(&[]);
-    b.master.start(b.now_ns);
-    b.until("operational", 3000, |p| p.at_goal);
+    b.starts_anew();
 }
 
 #[test]
@@ -377,9 +376,7 @@ fn nmt_spoilt() {
     // Another node's number or command: nobody is operational who should not be, and who is missing is named.
     let (ready, faults) = (b.step().ready, b.master.take_faults());
     assert_eq!(ready + faults.iter().map(|f| f.drive).collect::<std::collections::BTreeSet<_>>().len(), 3);
-    b.disturb(&[]);
-    b.master.start(b.now_ns);
-    b.until("operational", 3000, |p| p.at_goal);
+    b.starts_anew();
 }
 
 #[test]
@@ -419,9 +416,7 @@ proptest! {
         let failed = b.step().failed;
         let faults = b.master.take_faults();
         prop_assert!(failed == 0 || !faults.is_empty());
-        b.disturb(&[]);
-        b.master.start(b.now_ns);
-        b.until("operational", 10_000, |p| p.at_goal);
+        b.starts_anew();
     }
 
     /// Arbitrary frames at drives that give torque: no panic, and never more torque than the limit.

@@ -16,17 +16,13 @@ use sinew::ipc::payload::{
     FLAG_LEAVING, MAX_CURVATURES, Obstacle, ObstacleKind, Obstacles, State, SupervisorState, Target, TargetMode,
 };
 use sinew::ipc::{Client as Daemon, Domain, Message, NewestSubscriber, SourcePublisher, monotonic_ns};
+use sinew_hal::clock::Naps;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// How far ahead of time a path's points are sent (s): beyond the planner's lookahead and lead.
 const AHEAD_S: f64 = 0.4;
-/// Shortest and longest nap of a client that waits for a tick.
-const LOOK: Duration = Duration::from_micros(50);
-const LOOK_MAX: Duration = Duration::from_millis(2);
-/// A nap is this part of the wait so far: no tick becomes much longer, and a slow processor is left to who computes.
-const LOOK_PART: u32 = 32;
 /// A daemon that has said nothing for so long is gone.
 const SILENCE: Duration = Duration::from_secs(30);
 
@@ -166,15 +162,15 @@ fn in_lockstep<C: Content>(
     loop {
         let payload = content.at(clock.at_s(capture_ns), clock.origin_ns.unwrap_or(0));
         publisher.publish_for_tick(payload, capture_ns, tick).into_diagnostic()?;
-        let heard = Instant::now();
+        let naps = Naps::begin();
         let state = loop {
             if stop.load(Ordering::Relaxed) {
                 return Ok(Some(capture_ns));
             }
             match states.receive().into_diagnostic()? {
                 Some(state) if state.header.tick >= tick => break state,
-                _ if heard.elapsed() > SILENCE => return Ok(Some(capture_ns)),
-                _ => std::thread::sleep((heard.elapsed() / LOOK_PART).clamp(LOOK, LOOK_MAX)),
+                _ if naps.waited_ns() > SILENCE.as_nanos() as u64 => return Ok(Some(capture_ns)),
+                _ => naps.nap(),
             }
         };
         clock.see(&state);

@@ -4,6 +4,7 @@
 //! Enters: frames of every bus, the control thread's wish. Leaves: `encoders` in shared memory, the drives' state for
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
+use super::drive_causes::{HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NOT_USABLE, cause_of, cause_text};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
 use crate::config::{BusConfig, Config};
@@ -14,7 +15,7 @@ use sinew_hal::can::{CanBus, Received};
 use sinew_hal::canopen::Message;
 use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
-use sinew_hal::clock::monotonic_ns;
+use sinew_hal::clock::{Naps, monotonic_ns};
 use sinew_hal::load::{BitRates, Shape};
 use sinew_hal::motor_bank::MotorBank;
 use std::sync::Arc;
@@ -42,61 +43,6 @@ const QUIET_NS: u64 = 50_000_000;
 const ANSWERS_NS: u64 = 2_000_000;
 /// Interval of the statistics (ns).
 const STATISTICS_NS: u64 = 500_000_000;
-
-/// Causes that the master names and that have no emergency code; emergency codes are 0x1000 and above.
-const CAUSES: [&str; 9] = [
-    "fault without an emergency object",
-    "not usable: configuration failed",
-    "no boot-up after the reset",
-    "wrong NMT state",
-    "restarted by itself",
-    "heartbeat lost",
-    "a transition of the power state machine did not happen",
-    "no feedback",
-    "left torque operation by itself",
-];
-
-/// A drive fault's cause in words.
-pub fn cause_text(cause: u32) -> String {
-    match usize::try_from(cause).ok().and_then(|c| CAUSES.get(c)) {
-        Some(text) => (*text).to_owned(),
-        None => format!("emergency code {cause:04X}"),
-    }
-}
-
-const NO_EMERGENCY: u32 = 0;
-const NOT_USABLE: u32 = 1;
-const HEARTBEAT_LOST: u32 = 5;
-const NO_FEEDBACK: u32 = 7;
-
-fn cause_of(fault: &Fault) -> u32 {
-    match fault {
-        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => NOT_USABLE,
-        Fault::NoBootUp { .. } => 2,
-        Fault::Nmt { .. } => 3,
-        Fault::Rebooted => 4,
-        Fault::HeartbeatLost { .. } => HEARTBEAT_LOST,
-        Fault::Transition { .. } => 6,
-        Fault::NoFeedback { .. } => NO_FEEDBACK,
-        Fault::LeftOperation { .. } => 8,
-        Fault::Emergency(e) => u32::from(e.code),
-    }
-}
-
-/// What is remembered of a drive beside what the master knows.
-#[derive(Debug, Clone, Copy, Default)]
-struct Memory {
-    /// Heartbeat lost and not back.
-    lost: bool,
-    /// It answers no SYNC, although it was operational; what is ordered would not reach it either.
-    mute: bool,
-    /// It was up once, so that silence means something.
-    seen: bool,
-    /// Last emergency code.
-    emergency: Option<u32>,
-    /// A cause that stays until a reset, although the drive's state no longer shows it.
-    sticky: Option<u32>,
-}
 
 /// One bus as this thread listens to it.
 struct Line {
@@ -215,7 +161,7 @@ impl BusThread {
         self.master.start(begun_ns);
         loop {
             let now_ns = monotonic_ns();
-            self.listen(now_ns);
+            self.listen(now_ns, Duration::ZERO);
             let state = self.master.poll(now_ns);
             self.note_faults();
             if state.ready == state.drives {
@@ -231,7 +177,7 @@ impl BusThread {
         let Some(mut writer) = self.master.take_writer() else { return Err(0) };
         let mut quiet_since_ns = monotonic_ns();
         while monotonic_ns().saturating_sub(quiet_since_ns) < QUIET_NS {
-            if self.listen(monotonic_ns()).frames > 0 {
+            if self.listen(monotonic_ns(), Duration::ZERO).frames > 0 {
                 quiet_since_ns = monotonic_ns();
             }
         }
@@ -254,15 +200,16 @@ impl BusThread {
 
     /// Runs until told to end.
     pub(crate) fn run(mut self, progress: &Progress) {
-        let mut heard_ns = monotonic_ns();
+        let mut silence = Naps::begin();
         while !progress.bus_stop.load(Ordering::Acquire) {
             let real_ns = monotonic_ns();
-            let complete = self.listen(real_ns);
-            if complete.frames > 0 {
-                heard_ns = real_ns;
+            // In lockstep nothing is due between two frames.
+            let heard = self.listen(real_ns, if self.time.is_lockstep() { silence.length() } else { Duration::ZERO });
+            if heard.frames > 0 {
+                silence = Naps::begin();
             }
             if self.time.is_lockstep() {
-                self.lockstep(complete.cycle, real_ns.saturating_sub(heard_ns));
+                self.lockstep(heard.cycle, silence.waited_ns());
             } else {
                 self.follow(monotonic_ns());
                 self.publish_late(real_ns);
@@ -282,12 +229,14 @@ impl BusThread {
         self.update_input();
     }
 
-    /// Lockstep: everything happens with the last answer to a SYNC, so that a run does not depend on when this thread
-    /// was scheduled; the state is there before the encoders that release the tick.
+    /// Lockstep: everything happens at the end of a cycle, which is the plant's mark, or the last answer to a SYNC where
+    /// drives are alone, so that a run does not depend on when this thread was scheduled; the state is there before the
+    /// encoders that release the tick.
     fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
-        let marks = self.lines.iter().any(|line| line.over > 0);
-        let patience_ns =
-            if marks { self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS) } else { self.answer_timeout_ns };
+        let patience_ns = match self.is_marked() {
+            true => self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS),
+            false => self.answer_timeout_ns,
+        };
         let cycle = match complete {
             // A late answer can complete a cycle that was given up: its tick has been.
             Some(cycle) if cycle <= self.published => return,
@@ -311,9 +260,10 @@ impl BusThread {
         self.publish(cycle, tick * self.period_ns, Some(tick), missing);
     }
 
-    /// Receives what waits, on all buses.
-    fn listen(&mut self, now_ns: u64) -> Heard {
-        let turn = if self.lines.len() == 1 { TURN_ALONE } else { TURN };
+    /// Receives what waits, on all buses. Where nothing does, each bus has its turn, for as long as `wait` if that is
+    /// longer.
+    fn listen(&mut self, now_ns: u64, wait: Duration) -> Heard {
+        let turn = if self.lines.len() == 1 { TURN_ALONE } else { TURN }.max(wait);
         let mut heard = Heard::default();
         for index in 0..self.lines.len() {
             let mut wait = turn;
@@ -342,18 +292,20 @@ impl BusThread {
         let lockstep = self.time.is_lockstep() && self.epoch_ns != 0;
         let now_ns = if lockstep { self.epoch_ns + self.time.now_ns() } else { now_ns };
         self.master.on_frame(bus, received, now_ns);
-        if let Some(Message::Heartbeat(node)) = Message::of(&received.frame)
+        let message = Message::of(&received.frame);
+        if let Some(Message::Heartbeat(node)) = message
             && let Some(drive) = self.node_to_drive.iter().position(|d| *d == (bus, node.get()))
         {
             self.memory[drive].lost = false;
             self.memory[drive].seen = true;
         }
-        if lockstep && Message::of(&received.frame) == Some(Message::Time) {
+        if self.time.is_lockstep() && message == Some(Message::Time) {
             // Nothing more comes of this cycle: what is missing is missing, as it is at a tick's deadline in real time.
             // Which one is said by the SYNC before it on the same bus: on another one the next may have begun.
             let cycle = self.decoder.cycle();
             self.lines[bus].over = self.decoder.bus_cycle(bus);
-            return (cycle > self.published && self.lines.iter().all(|line| line.over == cycle)).then_some(cycle);
+            let over = cycle > self.published && self.lines.iter().all(|line| line.over == cycle);
+            return (lockstep && over).then_some(cycle);
         }
         let sync_before_ns = self.decoder.sync_ns();
         match self.decoder.on_frame(bus, received) {
@@ -362,7 +314,7 @@ impl BusThread {
                 if !self.time.is_lockstep() {
                     self.publish(cycle, sync_ns, None, DriveMask::default());
                 }
-                Some(cycle)
+                (!self.is_marked()).then_some(cycle)
             }
             // The next SYNC is here: who has not answered by now did not answer this one.
             Event::Incomplete { cycle, missing }
@@ -375,7 +327,8 @@ impl BusThread {
                 self.given_up.0 &= !(1 << drive);
                 let cycle = self.decoder.cycle();
                 // Whoever was given up is not waited for tick by tick.
-                (cycle > self.published && self.decoder.missing().0 & !self.given_up.0 == 0).then_some(cycle)
+                let all = cycle > self.published && self.decoder.missing().0 & !self.given_up.0 == 0;
+                (all && !self.is_marked()).then_some(cycle)
             }
             _ => None,
         }
@@ -390,6 +343,12 @@ impl BusThread {
         if cycle > self.published && missing != self.all() && late {
             self.publish(cycle, sync_ns, None, missing);
         }
+    }
+
+    /// Lockstep: whether there is a plant that says when a period is over. Then nothing else ends a cycle, not even the
+    /// last answer: the mark would come into the next one and end that before its time.
+    fn is_marked(&self) -> bool {
+        self.lines.iter().any(|line| line.over > 0)
     }
 
     /// All drives.

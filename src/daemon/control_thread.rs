@@ -10,7 +10,7 @@ use crate::ipc::{ControlInputs, ControlOutputs, LockstepSources};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
-use sinew_hal::clock::{Clock, Monotonic, monotonic_ns};
+use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
 use sinew_hal::realtime::{self, Report};
 use std::sync::Arc;
@@ -210,14 +210,6 @@ struct Gate {
     period: Duration,
 }
 
-/// Rounds of looking again at once before the processor is left to others.
-const SPINS: u32 = 200;
-/// Shortest and longest nap between two looks.
-const NAP: Duration = Duration::from_micros(20);
-const NAP_MAX: Duration = Duration::from_millis(2);
-/// A nap is this part of the wait so far: it makes no tick much longer, and who needs long to compute an answer (an
-/// emulated processor, say) is not kept from it by who waits.
-const NAP_PART: u32 = 32;
 /// Clients' time-out once the stop is asked for (ns): they may have gone already. The drives are still needed.
 const STOP_TIMEOUT_NS: u64 = 200_000_000;
 
@@ -234,16 +226,10 @@ impl Gate {
             // Nothing else sets the pace of a loop without a plant.
             std::thread::sleep(self.period);
         }
-        let (began_ns, mut looks) = (monotonic_ns(), 0);
+        let naps = Naps::begin();
         while !inputs.is_ready_for(tick, &self.waiting_for) {
-            looks += 1;
-            if looks < SPINS {
-                std::thread::yield_now()
-            } else {
-                let waited = Duration::from_nanos(monotonic_ns().saturating_sub(began_ns));
-                std::thread::sleep((waited / NAP_PART).clamp(NAP, NAP_MAX))
-            }
-            let waited_ns = monotonic_ns().saturating_sub(began_ns);
+            naps.nap();
+            let waited_ns = naps.waited_ns();
             if progress.stop.load(Ordering::Acquire) && waited_ns > STOP_TIMEOUT_NS {
                 self.give_up_clients(inputs, tick);
             }

@@ -26,6 +26,7 @@
 
 mod bus_thread;
 mod control_thread;
+mod drive_causes;
 mod error;
 mod heart;
 mod link;
@@ -39,7 +40,8 @@ mod threads;
 mod tick;
 mod warm_up;
 
-pub use bus_thread::{ENCODER_SOURCE_ID, cause_text};
+pub use bus_thread::ENCODER_SOURCE_ID;
+pub use drive_causes::cause_text;
 pub use error::DaemonError;
 pub use heart::Heart;
 pub use records::{fault_of_code, refusal_text};

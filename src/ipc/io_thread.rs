@@ -8,6 +8,7 @@ use super::payload::{
     Target, Verdict,
 };
 use super::ports::{DaemonPorts, OpenRequest};
+use sinew_hal::clock::Naps;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ pub enum Pace {
         /// Time to sleep.
         sleep: Duration,
     },
-    /// Gives way to other threads and looks again at once: as fast as it computes.
+    /// As fast as it computes: looks again at once for a while, then more and more seldom ([`Naps`]).
     Lockstep,
 }
 
@@ -110,12 +111,15 @@ impl<T: Tap> IoThread<T> {
 
     /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.
     pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) {
+        let mut naps = Naps::begin();
         while !stop.load(Ordering::Acquire) {
-            if self.poll(&now) == 0 {
-                match pace {
-                    Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
-                    Pace::Lockstep => std::thread::yield_now(),
-                }
+            if self.poll(&now) > 0 {
+                naps = Naps::begin();
+                continue;
+            }
+            match pace {
+                Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
+                Pace::Lockstep => naps.nap(),
             }
         }
         self.poll(&now);

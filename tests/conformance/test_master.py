@@ -81,15 +81,16 @@ class MasterTest(unittest.TestCase):
         for n in NODES:
             bench.expect(f"node={n} statusword=0x0027 position={7 * 123} torque=123")
         bench.expect("disabled")
-        self.assertEqual(bench.process.wait(10), 0)
+        bench.network.disconnect()
+        bench.process.stdin.close()
+        self.assertEqual(bench.process.wait(60), 0)
         for d in drives:
             self.assertEqual(d.state, 0x40)
             self.assertEqual(d.mapping(0x1600), [0x60400010, 0x60710010])
             self.assertEqual(d.mapping(0x1A00), [0x60410010, 0x60640020, 0x60770010])
             self.assertEqual(d.local.sdo[0x1400][2].raw, 1)
             self.assertEqual(d.local.sdo[0x6060].raw, 10)
-            self.assertEqual(d.local.sdo[0x1016][1].raw, 127 << 16 | 200)
-        self.assertGreater(len(beats), 10)
+            self.assertEqual(d.local.sdo[0x1016][1].raw, 127 << 16 | 5000)
         self.assertEqual(set(beats), {b"\5"})
 
 

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+import typing
 
 ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..")
 
@@ -27,9 +28,8 @@ def run_main(main):
         sys.exit(f"{os.path.basename(sys.argv[0])}: FAILED: {failure}")
 
 
-def configuration(folder, buses, changes):
-    """The shipped files with keys changed ({file: {key: value}}); the paths. `buses` is 1 or 4."""
-    drives = "drives.toml" if buses == 1 else "drives-4-buses.toml"
+def configuration(folder, drives, changes):
+    """The shipped files with keys changed ({file: {key: value}}), `drives` being that of the buses; the paths."""
     paths = []
     for name in ("arm.toml", "controller.toml", drives, "plant.toml"):
         with open(os.path.join(ROOT, "config", name), encoding="utf-8") as file:
@@ -108,14 +108,27 @@ class Candump:
         self.file.close()
 
 
-LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(\S*)")
+# An FD frame has a second # and a digit of flags, the lowest of which is the bit-rate switch.
+LINE = re.compile(r"\(\d+\.\d+\) (\S+) ([0-9A-F]+)#(?:#([0-9A-F]))?([0-9A-F]*)$")
+
+
+class Frame(typing.NamedTuple):
+    """As candump has it."""
+
+    interface: str
+    identifier: int
+    data: bytes
+    is_fd: bool
+    has_rate_switch: bool
 
 
 def frames(path):
-    """Interface, identifier and payload (hexadecimal) of every frame of a recording."""
+    """Every frame of a recording."""
     with open(path, encoding="utf-8") as file:
         for line in file:
             match = LINE.match(line)
-            # The last line of a recording that was stopped may be cut.
-            if match:
-                yield match[2], int(match[3], 16), match[4]
+            # The last line of a recording that was stopped may be cut; remote requests there are none.
+            if match and len(match[4]) % 2 == 0:
+                flags = match[3]
+                switch = flags is not None and int(flags, 16) & 1 == 1
+                yield Frame(match[1], int(match[2], 16), bytes.fromhex(match[4]), flags is not None, switch)

@@ -104,7 +104,7 @@ def main():
     CHANGES["drives.toml"]["interface"] = f'"{interface}"'
 
     with tempfile.TemporaryDirectory() as folder:
-        config = arm.configuration(folder, 1, CHANGES)
+        config = arm.configuration(folder, "drives.toml", CHANGES)
         sinew = arm.Sinew(arguments.binaries, config)
         trace = os.path.join(folder, "truth.mcap")
         plant = subprocess.Popen(

@@ -3,71 +3,17 @@
 
 use sim_plant::drive::objects::PRODUCT;
 use sim_plant::drive::{Drive, DriveBank, Nameplate};
-use sinew_hal::can::{BusCounters, BusState, CanBus, Filter, Frame, Id, ReceiveError, Received, SendError};
+use sinew_hal::can::{CanBus, Frame, Id};
 use sinew_hal::canopen::sdo_client::{Outcome, SdoClient};
 use sinew_hal::canopen::{NmtCommand, NodeId};
 use sinew_hal::cia402::script::{Step, script};
 use sinew_hal::cia402::{
     CycleWriter, Decoder, DriveSetup, Event, Goal, Layout, Master, MasterConfig, ObjectWrite, Progress,
 };
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+pub use sinew_hal::memory_bus::{MemoryBus, Refusal};
 use std::time::Duration;
 
 pub const MS: u64 = 1_000_000;
-
-/// Whether the bus does not take a frame with this identifier.
-pub type Refusal = fn(u16) -> bool;
-
-/// A bus in memory: every handle has a queue, a frame goes into all queues but the sender's.
-pub struct MemoryBus {
-    queues: Arc<Mutex<Vec<VecDeque<Received>>>>,
-    refused: Arc<Mutex<Option<Refusal>>>,
-    me: usize,
-}
-
-impl MemoryBus {
-    pub fn new() -> Self {
-        Self { queues: Arc::new(Mutex::new(vec![VecDeque::new()])), refused: Arc::default(), me: 0 }
-    }
-    /// Another handle.
-    pub fn handle(&self) -> Self {
-        let mut q = self.queues.lock().unwrap();
-        q.push(VecDeque::new());
-        Self { queues: self.queues.clone(), refused: self.refused.clone(), me: q.len() - 1 }
-    }
-}
-
-impl CanBus for MemoryBus {
-    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
-        if let (Id::Standard(id), Some(refused)) = (frame.id(), *self.refused.lock().unwrap())
-            && refused(id)
-        {
-            return Err(SendError::Full);
-        }
-        for (i, q) in self.queues.lock().unwrap().iter_mut().enumerate() {
-            if i != self.me {
-                q.push_back(Received { frame: *frame, time_ns: 0 });
-            }
-        }
-        Ok(())
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
-        Ok(self.queues.lock().unwrap()[self.me].pop_front())
-    }
-    fn state(&self) -> BusState {
-        BusState::ErrorActive
-    }
-    fn counters(&self) -> BusCounters {
-        BusCounters::default()
-    }
-    fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
-        Ok(Box::new(self.handle()))
-    }
-}
 
 pub fn node(n: u8) -> NodeId {
     NodeId::new(n).unwrap()
@@ -100,7 +46,7 @@ impl Bench {
         let mut config = MasterConfig::new(drives, node(127), 10_000);
         config.layouts = vec![layout; buses];
         adjust(&mut config);
-        let wires: Vec<_> = (0..buses).map(|_| MemoryBus::new()).collect();
+        let wires: Vec<_> = (0..buses).map(|_| MemoryBus::default()).collect();
         let banks = wires
             .iter()
             .map(|w| {
@@ -173,7 +119,7 @@ impl Bench {
 
     /// From now on the master's side of the bus does not take data frames with these identifiers.
     pub fn refuse(&mut self, bus: usize, which: Option<Refusal>) {
-        *self.banks[bus].0.refused.lock().unwrap() = which;
+        self.banks[bus].0.refuse(which);
     }
 }
 

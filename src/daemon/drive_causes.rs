@@ -1,0 +1,61 @@
+//! Why a drive cannot be used: the numbers under which the supervisor and the records know it, and their words.
+//!
+//! Enters: what the master finds. Leaves: a cause for each. It must never give two things one number: those that the
+//! master names are small, emergency codes of CiA 301 are 0x1000 and above.
+
+use sinew_hal::cia402::Fault;
+
+/// Causes that the master names and that have no emergency code; emergency codes are 0x1000 and above.
+const CAUSES: [&str; 9] = [
+    "fault without an emergency object",
+    "not usable: configuration failed",
+    "no boot-up after the reset",
+    "wrong NMT state",
+    "restarted by itself",
+    "heartbeat lost",
+    "a transition of the power state machine did not happen",
+    "no feedback",
+    "left torque operation by itself",
+];
+
+/// A drive fault's cause in words.
+pub fn cause_text(cause: u32) -> String {
+    match usize::try_from(cause).ok().and_then(|c| CAUSES.get(c)) {
+        Some(text) => (*text).to_owned(),
+        None => format!("emergency code {cause:04X}"),
+    }
+}
+
+pub(super) const NO_EMERGENCY: u32 = 0;
+pub(super) const NOT_USABLE: u32 = 1;
+pub(super) const HEARTBEAT_LOST: u32 = 5;
+pub(super) const NO_FEEDBACK: u32 = 7;
+
+pub(super) fn cause_of(fault: &Fault) -> u32 {
+    match fault {
+        Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => NOT_USABLE,
+        Fault::NoBootUp { .. } => 2,
+        Fault::Nmt { .. } => 3,
+        Fault::Rebooted => 4,
+        Fault::HeartbeatLost { .. } => HEARTBEAT_LOST,
+        Fault::Transition { .. } => 6,
+        Fault::NoFeedback { .. } => NO_FEEDBACK,
+        Fault::LeftOperation { .. } => 8,
+        Fault::Emergency(e) => u32::from(e.code),
+    }
+}
+
+/// What is remembered of a drive beside what the master knows.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Memory {
+    /// Heartbeat lost and not back.
+    pub(super) lost: bool,
+    /// It answers no SYNC, although it was operational; what is ordered would not reach it either.
+    pub(super) mute: bool,
+    /// It was up once, so that silence means something.
+    pub(super) seen: bool,
+    /// Last emergency code.
+    pub(super) emergency: Option<u32>,
+    /// A cause that stays until a reset, although the drive's state no longer shows it.
+    pub(super) sticky: Option<u32>,
+}
