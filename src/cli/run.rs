@@ -34,9 +34,6 @@ pub(crate) struct Run {
     /// Lockstep: real time after which a source that does not deliver is no longer waited for (s).
     #[arg(long, value_name = "SECONDS", requires = "lockstep", value_parser = super::positive_seconds)]
     await_timeout: Option<f64>,
-    /// Lockstep: real time without a frame after which drives that have not answered are no longer waited for (s).
-    #[arg(long, value_name = "SECONDS", requires = "lockstep", value_parser = super::positive_seconds)]
-    answer_timeout: Option<f64>,
     /// Arm as soon as the drives are ready, once.
     #[arg(long)]
     arm_on_start: bool,
@@ -64,7 +61,6 @@ impl Run {
             obstacles: self.await_obstacles,
             target: self.await_target,
             timeout: self.await_timeout.map(Duration::from_secs_f64),
-            answer_timeout: self.answer_timeout.map(Duration::from_secs_f64),
         });
         let options = Options {
             lockstep,

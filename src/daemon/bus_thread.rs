@@ -32,10 +32,9 @@ const TURN_ALONE: Duration = Duration::from_millis(1);
 const FRAMES_PER_TURN: usize = 128;
 /// Pause between two attempts to bring drives up (ns).
 const RETRY_NS: u64 = 1_000_000_000;
-/// In lockstep: real time without a frame after which what is missing is given up (ns), unless told otherwise.
-const SILENCE_NS: u64 = 1_000_000_000;
-/// The same with a plant that says when a period is over: its silence means that it has no processor, or is dead.
-const SILENCE_OF_A_PLANT_NS: u64 = 5_000_000_000;
+/// In lockstep: real time without a frame after which what is missing is given up (ns). Long, for whoever is silent may have
+/// no processor, or an emulated one; shorter than the loop waits for the encoders, so that it learns which drives are missing.
+const SILENCE_NS: u64 = 4_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
 /// Time that drives are given for their answers to a SYNC at any period (ns): two dozen frames on a shared bus take a good
@@ -87,8 +86,6 @@ pub(crate) struct BusThread {
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
     mute_cycles: u64,
-    /// Lockstep: silence after which what is missing is given up (ns).
-    answer_timeout_ns: u64,
     shared: Arc<Shared>,
     statistics_ns: u64,
     /// The loop's time at the last statistics (ns).
@@ -139,16 +136,10 @@ impl BusThread {
             taken: vec![0; config.drives.drives.len()],
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
-            answer_timeout_ns: SILENCE_NS,
             shared,
             statistics_ns: 0,
             statistics_loop_ns: 0,
         }
-    }
-
-    /// Lockstep: another silence after which what is missing is given up.
-    pub(crate) fn set_answer_timeout(&mut self, timeout: Duration) {
-        self.answer_timeout_ns = timeout.as_nanos() as u64;
     }
 
     /// Lockstep: brings the drives up in real time, then sends the one cycle whose answers are the encoders of tick 0.
@@ -233,16 +224,12 @@ impl BusThread {
     /// drives are alone, so that a run does not depend on when this thread was scheduled; the state is there before the
     /// encoders that release the tick.
     fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
-        let patience_ns = match self.is_marked() {
-            true => self.answer_timeout_ns.max(SILENCE_OF_A_PLANT_NS),
-            false => self.answer_timeout_ns,
-        };
         let cycle = match complete {
             // A late answer can complete a cycle that was given up: its tick has been.
             Some(cycle) if cycle <= self.published => return,
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
-            None if silent_ns > patience_ns && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
             None => return,
         };
         let tick = cycle.saturating_sub(self.base_cycle);

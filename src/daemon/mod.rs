@@ -80,9 +80,6 @@ pub struct LockstepOptions {
     pub target: bool,
     /// Real time after which a source that does not deliver is no longer waited for; `None` for 5 s.
     pub timeout: Option<Duration>,
-    /// Real time without a frame after which drives that have not answered a SYNC are no longer waited for; `None` for
-    /// 1 s. Shorter than `timeout`, or the loop gives up the encoders before it learns which drives are missing.
-    pub answer_timeout: Option<Duration>,
 }
 
 /// How to run.
@@ -227,11 +224,7 @@ impl Daemon {
         let (link, end) = drives_link();
         // In lockstep the master keeps the sending of cycles until the drives are up.
         let writer = if lockstep { None } else { master.take_writer() };
-        let mut bus =
-            BusThread::new(config, master, bank.clone(), listeners, end, publisher, time.clone(), shared.clone());
-        if let Some(timeout) = sources.answer_timeout {
-            bus.set_answer_timeout(timeout);
-        }
+        let bus = BusThread::new(config, master, bank.clone(), listeners, end, publisher, time.clone(), shared.clone());
         let (to_control, from_bus) = mpsc::channel();
         let (granted, report) = mpsc::channel();
         let (failed, failed_start) = mpsc::channel();

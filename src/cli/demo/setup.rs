@@ -12,10 +12,6 @@ use toml::{Table, Value};
 const OBSTACLE_SOURCE: u32 = 1;
 /// Source id of the task client.
 const TASK_SOURCE: u32 = 2;
-/// In lockstep, real time (s) without a frame after which drives that have not answered are given up: longer than the
-/// daemon's own, for an emulated or overloaded processor may be as silent as a dead plant, whose end is seen anyway. It
-/// ends before the daemon's wait for a tick's inputs does (5 s).
-const ANSWER_TIMEOUT_S: f64 = 4.0;
 /// The built-in files that make a whole configuration.
 const FILES: [&str; 4] = ["arm.toml", "controller.toml", "drives.toml", "plant.toml"];
 
@@ -146,7 +142,6 @@ impl Setup {
         if self.fast {
             arguments.extend(strings(&["--lockstep", "--await-target"]));
             arguments.extend(strings(&["--await-obstacles", &OBSTACLE_SOURCE.to_string()]));
-            arguments.extend(strings(&["--answer-timeout", &ANSWER_TIMEOUT_S.to_string()]));
         }
         arguments
     }
