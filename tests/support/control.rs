@@ -197,6 +197,7 @@ impl Plan for Told {
             kkt_residual: 0.0,
             optimal: true,
             relaxed: false,
+            solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,
             cost: 0.0,
