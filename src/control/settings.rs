@@ -46,8 +46,7 @@ impl Settings {
         Self { friction: config.friction.clone(), ..parts }
     }
 
-    /// From the parts that matter; start, home and friction (none) have their
-    /// defaults.
+    /// From the parts that matter; start, home and friction (none) have their defaults.
     pub fn from_parts(
         arm: ArmConfig,
         timing: LoopConfig,

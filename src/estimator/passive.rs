@@ -13,8 +13,9 @@ use crate::integrator::{Scheme, Stepper};
 use crate::math::block_tridiagonal::BLOCK;
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
-/// Stop of the iteration: the next correction of the coordinates would have a norm below this (m, 1). A thousandth of an encoder step moves the tip
-/// by more than this.
+
+/// Stop of the iteration: the next correction of the coordinates would have a norm below this (m, 1). A thousandth of an
+/// encoder step moves the tip by more.
 const TOLERANCE: f64 = 1e-8;
 /// Newton iterations of one observer step; two are usual.
 const ITERATIONS_MAX: usize = 8;
@@ -50,7 +51,7 @@ pub struct Update {
     pub failed: bool,
 }
 
-/// The observer of one arm. [`Observer::new`] and [`Observer::start`] allocate, nothing else does.
+/// The observer of one arm. [`Observer::new`] allocates, nothing else does.
 #[derive(Debug, Clone)]
 pub struct Observer {
     pub(super) arm: Arm,
