@@ -2,6 +2,9 @@
 //! allocates.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
+#[path = "support/settings.rs"]
+mod support;
+
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use nalgebra::{DMatrix, DVector};
 use sinew::config::{ArmConfig, ObserverConfig, Routing};
@@ -15,22 +18,7 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 const PERIOD: f64 = 0.01;
 
 fn settings() -> ObserverConfig {
-    ObserverConfig {
-        model_damping_ratio: 2.5,
-        rho_inf: 0.0,
-        stiffness_ratio: 2.0,
-        damping_s: 2.0,
-        filter_time_s: 0.3,
-        disturbance_time_s: 0.6,
-        settle_innovation_rad: 0.01,
-        settle_rate_radps: 0.01,
-        settle_time_s: 0.5,
-        settle_timeout_s: 20.0,
-        innovation_bound_rad: 0.3,
-        innovation_growth_rad: 0.15,
-        innovation_window_s: 0.1,
-        latency_ticks: 0,
-    }
+    ObserverConfig { disturbance_time_s: 0.6, ..support::observer_config() }
 }
 
 fn small_arm() -> ArmConfig {

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // a rig that cannot be built fails its test
 
 #[path = "settings.rs"]
-mod planner_settings;
+mod shared_settings;
 
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -44,9 +44,9 @@ pub fn settings() -> Settings {
             particles_uniform: 5,
             sweeps_max: 4,
             stall_sweeps: 4,
-            ..planner_settings::swarm_config()
+            ..shared_settings::swarm_config()
         },
-        ..planner_settings::planner_config(WarningBranch::Seeded)
+        ..shared_settings::planner_config(WarningBranch::Seeded)
     };
     let weights = WeightsConfig {
         tip: TipWeights {
@@ -59,20 +59,10 @@ pub fn settings() -> Settings {
         shape: ShapeWeights { tension: 1.0, tension_change: vec![2e6; 4], curvature: 1e10 },
     };
     let observer = ObserverConfig {
-        model_damping_ratio: 2.5,
-        rho_inf: 0.0,
         stiffness_ratio: 3.0,
-        damping_s: 2.0,
-        filter_time_s: 0.3,
         disturbance_time_s: 1.0,
-        settle_innovation_rad: 0.01,
-        settle_rate_radps: 0.01,
-        settle_time_s: 0.5,
         settle_timeout_s: 2.0,
-        innovation_bound_rad: 0.3,
-        innovation_growth_rad: 0.15,
-        innovation_window_s: 0.1,
-        latency_ticks: 0,
+        ..shared_settings::observer_config()
     };
     let guard = GuardConfig {
         tension_rate_npsmax: f64::INFINITY,

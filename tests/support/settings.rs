@@ -1,7 +1,7 @@
-//! Planner settings that tests, benches and examples start from.
+//! Settings of planner and observer that tests, benches and examples start from.
 #![allow(dead_code)] // each binary uses its own part
 
-use sinew::config::{BodyModel, PlannerConfig, SwarmConfig, WarningBranch};
+use sinew::config::{BodyModel, ObserverConfig, PlannerConfig, SwarmConfig, WarningBranch};
 
 /// A swarm of 40 particles that does all its sweeps, as many as the reference made.
 pub fn swarm_config() -> SwarmConfig {
@@ -38,5 +38,25 @@ pub fn planner_config(warning: WarningBranch) -> PlannerConfig {
         swarm: swarm_config(),
         budget_s: None,
         lead_s: None,
+    }
+}
+
+/// The observer as it is shipped.
+pub fn observer_config() -> ObserverConfig {
+    ObserverConfig {
+        stiffness_ratio: 2.0,
+        damping_s: 2.0,
+        filter_time_s: 0.3,
+        disturbance_time_s: 0.4,
+        model_damping_ratio: 2.5,
+        rho_inf: 0.0,
+        settle_innovation_rad: 0.01,
+        settle_rate_radps: 0.01,
+        settle_time_s: 0.5,
+        settle_timeout_s: 20.0,
+        innovation_bound_rad: 0.3,
+        innovation_growth_rad: 0.15,
+        innovation_window_s: 0.1,
+        latency_ticks: 0,
     }
 }

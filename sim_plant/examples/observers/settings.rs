@@ -1,7 +1,7 @@
 //! What a run may vary, and the settings that follow from it.
 
 #[path = "../../../tests/support/settings.rs"]
-mod planner_settings;
+mod shared_settings;
 
 use crate::closed_loop::Settings;
 use crate::scenario::{Scenario, ScenarioName};
@@ -89,14 +89,7 @@ impl Choice {
             damping_s: self.damping,
             filter_time_s: self.filter,
             disturbance_time_s: self.disturbance_time,
-            settle_innovation_rad: 0.01,
-            settle_rate_radps: 0.01,
-            settle_time_s: 0.5,
-            settle_timeout_s: 20.0,
-            innovation_bound_rad: 0.3,
-            innovation_growth_rad: 0.15,
-            innovation_window_s: 0.1,
-            latency_ticks: 0,
+            ..shared_settings::observer_config()
         };
         let planner = PlannerConfig {
             lookahead_s: self.lookahead,
@@ -115,10 +108,10 @@ impl Choice {
                 stall_sweeps: 3,
                 tolerance: 1e-6,
                 penalty: scenario.penalty(),
-                ..planner_settings::swarm_config()
+                ..shared_settings::swarm_config()
             },
             lead_s: self.lead,
-            ..planner_settings::planner_config(self.warning)
+            ..shared_settings::planner_config(self.warning)
         };
         // The shape example's lag is 20 s and its target stands still: nothing to lead.
         let lead = self.lead.unwrap_or(if scenario.is_tip() { lag } else { 0.0 });
