@@ -77,6 +77,7 @@ fn main() {
                 for seed in 0..REPEATS {
                     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
                     let until = Duration::from_micros(*budget);
+                    planner.forget();
                     let begin = Instant::now();
                     let report = case.plan(&mut planner, &mut rng, &mut Until { begin, until });
                     let time_us = begin.elapsed().as_nanos() as f64 / 1e3;

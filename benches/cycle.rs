@@ -4,14 +4,15 @@
 //!   of a moving arm.
 //! - What one more evaluation of the swarm costs.
 //! - The whole cycle (observer, plan with two Newton iterations, guard), 10,000 ticks of a moving target, with the
-//!   controller's own configuration: free; and with two balls within the barrier's reach, 40 particles and a budget.
-//!   There every plan's answer is compared with the swarm's seeds, by a plain evaluation of its own.
+//!   controller's own configuration: free; with two balls within the barrier's reach, 40 particles and a budget; and the
+//!   same with a target that goes into one of them and out again, so that distances hold the arm back. There every
+//!   plan's answer is compared with the swarm's seeds, by a plain evaluation of its own.
 //!
 //! Times of the cycle are also told in processor time of the thread: on a machine that others use at the same time the
 //! wall clock measures their turns as well. The deadline is on the wall clock, as in the loop.
 //!
 //! `cargo bench --bench cycle` (about 20 s after building). A name as argument runs one part: `newton`,
-//! `swarm`, `safe`, `warning`.
+//! `swarm`, `safe`, `warning`, `pressed`.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
 
 use hdrhistogram::Histogram;
@@ -48,14 +49,16 @@ fn main() {
         swarm(&config);
     }
     if runs("safe") {
-        let times = run(&config, 0);
+        let times = run(&config, 0, 0.02);
         times.print("safe cycle");
     }
-    if runs("warning") {
-        (config.planner.swarm.particles_normal, config.planner.swarm.particles_uniform) = (30, 10);
-        let times = run(&config, 2);
-        times.print("warning cycle");
-        times.print_warning();
+    (config.planner.swarm.particles_normal, config.planner.swarm.particles_uniform) = (30, 10);
+    for (name, what, sway_m) in [("warning", "warning cycle", 0.02), ("pressed", "warning cycle, pressed", 0.08)] {
+        if runs(name) {
+            let times = run(&config, 2, sway_m);
+            times.print(what);
+            times.print_warning();
+        }
     }
 }
 
@@ -177,6 +180,7 @@ struct Tally {
     warning: u64,
     plans: u64,
     iterations: u64,
+    solver_iterations: u64,
     sweeps: u64,
     evaluations: u64,
     spent: u64,
@@ -208,6 +212,7 @@ impl Tally {
         self.plans += 1;
         self.warning += u64::from(report.branch == Branch::Warning);
         self.iterations += report.iterations as u64;
+        self.solver_iterations += report.solver_iterations as u64;
         self.sweeps += report.sweeps as u64;
         self.evaluations += report.evaluations as u64;
         self.spent += u64::from(report.status == Status::BudgetSpent);
@@ -264,8 +269,9 @@ impl Times {
             100.0 * t.spent as f64 / t.plans as f64,
         );
         println!(
-            "  per tick: {:.2} Newton iterations, {:.1} sweeps, {:.0} evaluations; {} answers, none worse than a seed",
+            "  per tick: {:.2} Newton iterations with {:.2} of the complementarity problem, {:.1} sweeps, {:.0} evaluations; {} answers, none worse than a seed",
             t.iterations as f64 / t.plans as f64,
+            t.solver_iterations as f64 / t.plans as f64,
             t.sweeps as f64 / t.plans as f64,
             t.evaluations as f64 / t.plans as f64,
             t.judged,
@@ -279,7 +285,8 @@ fn processor_time() -> Duration {
     Duration::new(t.tv_sec as u64, t.tv_nsec as u32)
 }
 
-fn run(config: &Config, balls: u64) -> Times {
+/// `sway_m`: how far the target goes to the side of the first ball; beyond 0.04 m distances hold the arm back.
+fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
     let period_s = config.timing.period_s;
     let period_ns = (period_s * 1e9) as u64;
     let mut settings = Settings::new(config);
@@ -343,7 +350,7 @@ fn run(config: &Config, balls: u64) -> Times {
         let now_ns = tick * period_ns;
         let angle = 0.5 * tracked as f64 * period_s;
         let target = Target::Tip {
-            position_m: tip.position + Vector3::new(0.05 * angle.sin(), 0.02 * (1.0 - angle.cos()), 0.02),
+            position_m: tip.position + Vector3::new(0.05 * angle.sin(), sway_m * (1.0 - angle.cos()), 0.02),
             quaternion: Vector4::from(config.arm.base_quaternion),
             velocity_mps: Vector3::zeros(),
             angular_velocity_radps: Vector3::zeros(),

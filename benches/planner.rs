@@ -7,35 +7,19 @@
 
 // The scene is fixed and good; a bench that cannot build it should stop.
 
-#[path = "../tests/support/mod.rs"]
-mod support;
+mod scene;
 
 use divan::{Bencher, black_box, counter::ItemsCount};
-use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
-use sinew::config::{ArmConfig, BarrierConfig, BodyModel, PlannerConfig, ShapeConfig, WarningBranch};
+use sinew::collision::ObstacleSet;
+use sinew::config::{ArmConfig, WarningBranch};
 use sinew::integrator::{Stepper, consistent_start, equilibrium};
-use sinew::math::quaternion::rotation;
 use sinew::model::{Arm, State};
-use sinew::planner::{Branch, Goal, Inputs, Planner};
-use support::settings::planner_config;
+use sinew::planner::{Branch, Inputs, Planner};
 
 fn main() {
     divan::main();
-}
-
-fn settings(warning: WarningBranch) -> PlannerConfig {
-    PlannerConfig {
-        period_s: 0.01,
-        newton_iterations_max: 2,
-        body: BodyModel::Arm,
-        clearance_m: 0.01,
-        warning_hysteresis_m: 0.005,
-        barrier: Some(BarrierConfig { gamma: 0.3, activation_m: 0.15 }),
-        ..planner_config(warning)
-    }
 }
 
 struct Scene {
@@ -46,51 +30,36 @@ struct Scene {
     obstacles: ObstacleSet,
 }
 
-fn scene(config: ArmConfig, count: usize) -> Scene {
+fn beside(config: ArmConfig, count: usize) -> Scene {
     let arm = Arm::new(&config);
-    let n = arm.node_count();
     let u: Vec<f64> = (0..arm.cable_count()).map(|c| 10.0 + 8.0 * (c as f64 * 1.9).sin()).collect();
     let mut stepper = Stepper::new(&arm);
     let mut state = State::at_rest(arm.straight());
     equilibrium(&arm, &mut stepper, &u, &mut state).expect("a gentle load");
     consistent_start(&arm, &mut stepper, &u, &mut state).expect("a regular mass");
-    let mut obstacles = ObstacleSet::new();
-    for k in 0..count {
-        let (r, p) = arm.pose(&state.q, n - 1 - (k * 7) % n);
-        let angle = k as f64 * 2.4;
-        let side = rotation(&p) * Vector3::new(0.0, angle.cos(), angle.sin());
-        let gap = if k < 2 { 0.008 } else { 0.02 + 0.01 * k as f64 };
-        let ball = Shape::new(&ShapeConfig::Ball { radius_m: 0.1 }).expect("a good shape");
-        let at = pose((r + side * (0.1 + gap)).into(), [1.0, 0.0, 0.0, 0.0]).expect("a good pose");
-        obstacles.insert(Obstacle::new(k as u64, ball, &at).expect("a good obstacle")).expect("room");
-    }
+    let gap_m = |k: usize| if k < 2 { 0.008 } else { 0.02 + 0.01 * k as f64 };
+    let obstacles = scene::balls(&arm, &state, count, gap_m);
     Scene { config, arm, state, u, obstacles }
 }
 
 fn step(bencher: Bencher<'_, '_>, s: &Scene, warning: WarningBranch, branch: Branch) {
-    let mut planner = Planner::new(&s.config, &settings(warning), 1.0, &vec![1e4; s.arm.segment_count()]);
-    let tip = s.arm.tip(&s.state.q, &s.state.qd);
-    let goal = Goal::Tip {
-        position: tip.position + Vector3::new(0.03, -0.03, 0.02),
-        quaternion: tip.quaternion,
-        pose: 5e12,
-        rate: 5e10,
-        damping: 1e8,
-    };
+    let mut planner = Planner::new(&s.config, &scene::receding(warning), 1.0, &vec![1e4; s.arm.segment_count()]);
+    let goal = scene::goal(&s.arm, &s.state);
     let inputs =
         Inputs { state: &s.state, u_previous: &s.u, disturbance: &[], goal, now: &s.obstacles, ahead: &s.obstacles };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     let report = planner.plan(&inputs, &mut rng, &mut || false);
     assert_eq!(report.branch, branch, "the bench measures another branch than its name says");
-    bencher
-        .counter(ItemsCount::new(report.evaluations.max(1)))
-        .bench_local(|| planner.plan(black_box(&inputs), &mut rng, &mut || false).iterations);
+    bencher.counter(ItemsCount::new(report.evaluations.max(1))).bench_local(|| {
+        planner.forget();
+        planner.plan(black_box(&inputs), &mut rng, &mut || false).iterations
+    });
 }
 
 /// Without obstacles.
 #[divan::bench]
 fn safe(bencher: Bencher<'_, '_>) {
-    step(bencher, &scene(ArmConfig::paper(), 0), WarningBranch::Seeded, Branch::Safe);
+    step(bencher, &beside(ArmConfig::paper(), 0), WarningBranch::Seeded, Branch::Safe);
 }
 
 /// Without obstacles, eight segments of five elements with twelve cables each.
@@ -102,23 +71,23 @@ fn safe_96_cables(bencher: Bencher<'_, '_>) {
     segment.hole_angles_rad = (0..12).map(|c| f64::from(c) * std::f64::consts::TAU / 12.0).collect();
     config.segments = vec![segment; 8];
     config.segments[7].connector_length_m = 0.0;
-    step(bencher, &scene(config, 0), WarningBranch::Seeded, Branch::Safe);
+    step(bencher, &beside(config, 0), WarningBranch::Seeded, Branch::Safe);
 }
 
 /// The extended complementarity problem alone.
 #[divan::bench(args = [2, 16, 64])]
 fn complementarity(bencher: Bencher<'_, '_>, obstacles: usize) {
-    step(bencher, &scene(ArmConfig::paper(), obstacles), WarningBranch::Complementarity, Branch::Warning);
+    step(bencher, &beside(ArmConfig::paper(), obstacles), WarningBranch::Complementarity, Branch::Warning);
 }
 
 /// The swarm with that solution among its seeds; items are swarm evaluations.
 #[divan::bench(args = [2, 16, 64])]
 fn seeded(bencher: Bencher<'_, '_>, obstacles: usize) {
-    step(bencher, &scene(ArmConfig::paper(), obstacles), WarningBranch::Seeded, Branch::Warning);
+    step(bencher, &beside(ArmConfig::paper(), obstacles), WarningBranch::Seeded, Branch::Warning);
 }
 
 /// The swarm alone; items are swarm evaluations.
 #[divan::bench(args = [2, 16, 64])]
 fn swarm(bencher: Bencher<'_, '_>, obstacles: usize) {
-    step(bencher, &scene(ArmConfig::paper(), obstacles), WarningBranch::Swarm, Branch::Warning);
+    step(bencher, &beside(ArmConfig::paper(), obstacles), WarningBranch::Swarm, Branch::Warning);
 }

@@ -8,24 +8,22 @@
 //!
 //! `cargo bench --bench scale` (about half a minute after building) writes `benches/results/scale-nodes.svg`,
 //! `scale-cables.svg`, `scale-obstacles.svg` and `scale.csv`.
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a bench may panic and print
 
 #[path = "plot/mod.rs"]
 mod plot;
-#[path = "../tests/support/settings.rs"]
-mod settings;
+mod scene;
 
 use nalgebra::Vector3;
 use plot::Line;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::collision::{Obstacle, ObstacleSet, Shape, pose};
-use sinew::config::{ArmConfig, BarrierConfig, BodyModel, PlannerConfig, ShapeConfig, SwarmConfig, WarningBranch};
+use sinew::collision::ObstacleSet;
+use sinew::config::{ArmConfig, BodyModel, WarningBranch};
 use sinew::estimator::Observer;
 use sinew::integrator::{AffineMap, Scheme, Stepper};
-use sinew::math::quaternion::rotation;
 use sinew::model::{Arm, Motion, State};
-use sinew::planner::{Goal, Inputs, Planner};
+use sinew::planner::{Inputs, Planner};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -51,19 +49,6 @@ fn arm_config(elements: &[usize], cables: usize) -> ArmConfig {
 /// `nodes` over four segments, as evenly as it goes.
 fn over_four(nodes: usize) -> [usize; 4] {
     std::array::from_fn(|s| (nodes + s) / 4)
-}
-
-fn planner_settings() -> PlannerConfig {
-    PlannerConfig {
-        period_s: 0.01,
-        newton_iterations_max: 2,
-        body: BodyModel::Arm,
-        clearance_m: 0.01,
-        warning_hysteresis_m: 0.005,
-        barrier: Some(BarrierConfig { gamma: 0.3, activation_m: 0.15 }),
-        swarm: SwarmConfig { sweeps_max: 3, ..settings::swarm_config() },
-        ..settings::planner_config(WarningBranch::Seeded)
-    }
 }
 
 /// Median time (us) of one call, over runs for about 60 ms.
@@ -113,36 +98,16 @@ fn observer_settings() -> sinew::config::ObserverConfig {
 
 fn plan_time(config: &ArmConfig, state: &State, u: &[f64], obstacles: &ObstacleSet) -> f64 {
     let arm = Arm::new(config);
-    let mut planner = Planner::new(config, &planner_settings(), 1.0, &vec![1e4; arm.segment_count()]);
-    let tip = arm.tip(&state.q, &state.qd);
-    let goal = Goal::Tip {
-        position: tip.position + Vector3::new(0.03, -0.03, 0.02),
-        quaternion: tip.quaternion,
-        pose: 5e12,
-        rate: 5e10,
-        damping: 1e8,
-    };
+    let mut settings = scene::receding(WarningBranch::Seeded);
+    settings.swarm.sweeps_max = 3;
+    let mut planner = Planner::new(config, &settings, 1.0, &vec![1e4; arm.segment_count()]);
+    let goal = scene::goal(&arm, state);
     let inputs = Inputs { state, u_previous: u, disturbance: &[], goal, now: obstacles, ahead: obstacles };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     time(|| {
+        planner.forget();
         black_box(planner.plan(black_box(&inputs), &mut rng, &mut || false));
     })
-}
-
-/// Balls beside the arm, the first two within the warning distance, each further one 1 cm farther away.
-fn balls(arm: &Arm, state: &State, count: usize) -> ObstacleSet {
-    let n = arm.node_count();
-    let mut set = ObstacleSet::with_capacity(count);
-    for k in 0..count {
-        let (r, p) = arm.pose(&state.q, n - 1 - (k * 7) % n);
-        let angle = k as f64 * 2.4;
-        let side = rotation(&p) * Vector3::new(0.0, angle.cos(), angle.sin());
-        let gap = if k < 2 { 0.03 } else { 0.03 + 0.01 * k as f64 };
-        let ball = Shape::new(&ShapeConfig::Ball { radius_m: 0.1 }).unwrap();
-        let at = pose((r + side * (0.1 + gap)).into(), [1.0, 0.0, 0.0, 0.0]).unwrap();
-        set.insert(Obstacle::new(k as u64, ball, &at).unwrap()).unwrap();
-    }
-    set
 }
 
 /// Slope of a line in the logarithmic chart from `from` on: 1 where cost is proportional.
@@ -201,7 +166,9 @@ fn main() {
     let (mut r, mut t) = (vec![Vector3::zeros(); arm.node_count() + 1], vec![Vector3::zeros(); arm.node_count() + 1]);
     arm.frames_into(&state.q, &mut r, &mut t);
     for count in [0usize, 1, 2, 4, 8, 16, 32, 64, 128, 256] {
-        let set = balls(&arm, &state, count);
+        // The first two within the warning distance, each further one 1 cm farther away.
+        let gap_m = |k: usize| if k < 2 { 0.03 } else { 0.03 + 0.01 * k as f64 };
+        let set = scene::balls(&arm, &state, count, gap_m);
         let plan = plan_time(&config, &state, &u, &set);
         let search = time(|| {
             black_box(body.find(&r, &t, black_box(&set), 0.215).minimum);

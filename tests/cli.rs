@@ -52,6 +52,7 @@ fn json_is_one_object_with_every_field_and_nothing_else() {
         "quaternion_error_max",
         "curvature_error_final_1pm",
         "time_us",
+        "swarm",
         "loop",
         "faults",
     ] {
@@ -59,10 +60,28 @@ fn json_is_one_object_with_every_field_and_nothing_else() {
     }
     assert_eq!(object["ticks"], 10);
     assert_eq!(object["loop"], Value::Null);
+    assert_eq!(object["swarm"], Value::Null, "no obstacle, no search");
     assert_eq!(object["tip_error_m"], Value::Null);
     assert_eq!(object["newton"]["warning"], Value::Null);
     assert!(object["newton"]["safe"]["mean"].as_f64().unwrap() >= 1.0);
     assert!(object["time_us"]["safe"]["p50"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn a_plan_that_searched_tells_its_evaluations_per_second() {
+    let content = format!(
+        "{SHORT}\n[[obstacles]]\nid = \"beside\"\nshape = \"ball\"\nradius_m = 0.1\nposition_m = [0.102, 0.0, -1.5]\n"
+    );
+    let (_directory, path) = file("beside.toml", &content);
+    let output = sinew(&["plan", &path, "--warning", "swarm", "--json"]);
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(object["swarm"]["evaluations"].as_u64().unwrap() > 40, "{object}");
+    assert!(object["swarm"]["evaluations_per_s"].as_f64().unwrap() > 0.0, "{object}");
+    assert!(text(&sinew(&["plan", &path, "--warning", "swarm"]).stdout).contains("per second"));
+    let exact = sinew(&["plan", &path, "--warning", "complementarity", "--json"]);
+    let object: Value = serde_json::from_slice(&exact.stdout).unwrap();
+    assert!(object["newton"]["warning"].is_object(), "the ball is near enough");
+    assert_eq!(object["swarm"], Value::Null);
 }
 
 #[test]

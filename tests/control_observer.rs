@@ -73,7 +73,7 @@ impl World {
         self.cycle.report(&inputs);
         let on = out.drives == DrivesCommand::On;
         self.drives.phase = if on { DrivesPhase::Enabled } else { DrivesPhase::Off };
-        self.truth.update(self.cycle.tensions_n(), &[], &[]).unwrap();
+        self.truth.update(self.cycle.tensions_n(), &[]).unwrap();
     }
 
     /// Where the arm's tip truly is (m).

@@ -1,12 +1,16 @@
 //! One planning step of the safe subspace, to convergence, from the states of `tests/golden/plan_steps.json`.
 
+#[path = "../../tests/support/settings.rs"]
+mod settings;
+
 use crate::{count, cpu_seconds};
 use nalgebra::{Vector3, Vector4};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Value, json};
+use settings::planner_config;
 use sinew::collision::ObstacleSet;
-use sinew::config::{ArmConfig, BodyModel, PlannerConfig, SwarmConfig, WarningBranch};
+use sinew::config::{ArmConfig, PlannerConfig, SwarmConfig, WarningBranch};
 use sinew::model::State;
 use sinew::planner::{Goal, Inputs, Planner};
 
@@ -59,35 +63,15 @@ pub fn change(case: &Case) -> [f64; 4] {
     if case.shape { [2e6; 4] } else { [1e4, 2e4, 3e4, 4e4] }
 }
 
+/// The paper's setting without obstacles; the swarm does all sweeps that it is given.
 pub fn settings(eta: f64, penalty: f64) -> PlannerConfig {
+    let base = planner_config(WarningBranch::Complementarity);
     PlannerConfig {
         lookahead_s: eta,
         period_s: eta,
-        newton_iterations_max: 30,
-        newton_tolerance: 1e-8,
-        warning: WarningBranch::Complementarity,
         avoidance: false,
-        body: BodyModel::Points,
-        body_radius_m: 0.0,
-        clearance_m: 0.0,
-        warning_distance_m: 0.01,
-        warning_hysteresis_m: 0.0,
-        barrier: None,
-        swarm: SwarmConfig {
-            particles_normal: 30,
-            particles_uniform: 10,
-            sigma_n: 2.0,
-            chaotic_min: 2,
-            chaotic_max: 8,
-            inertia: [0.9, 0.4],
-            acceleration: [1.5, 1.5],
-            sweeps_max: 60,
-            stall_sweeps: usize::MAX,
-            tolerance: 0.0,
-            penalty,
-        },
-        budget_s: None,
-        lead_s: None,
+        swarm: SwarmConfig { stall_sweeps: usize::MAX, penalty, ..base.swarm },
+        ..base
     }
 }
 

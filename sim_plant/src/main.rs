@@ -71,13 +71,14 @@ fn main() -> ExitCode {
     match prepared.map(|(server, _socketcand)| server.run(&stop)) {
         Ok(Ok(served)) => {
             tracing::info!(?served, "stopped");
-            if served.late > 0 || served.given_up_ns > 0 || served.dropped > 0 {
+            if served.late > 0 || served.given_up_ns > 0 || served.dropped > 0 || served.untraced > 0 {
                 eprintln!(
-                    "sim_plant: {} of {} steps late, {:.3} s given up, {} frames dropped",
+                    "sim_plant: {} of {} steps late, {:.3} s given up, {} frames dropped, {} records not traced",
                     served.late,
                     served.steps,
                     served.given_up_ns as f64 * 1e-9,
-                    served.dropped
+                    served.dropped,
+                    served.untraced
                 );
             }
             ExitCode::SUCCESS
@@ -116,7 +117,9 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Ser
     let schedule = Schedule::new(&arguments.fault, config.arm.cable_count(), plant.truth.seed)
         .map_err(|refusal| miette::miette!("{refusal}"))?;
     let trace = match &arguments.trace {
-        Some(path) => Some(Trace::create(path, &config.arm.name, &rig, plant.truth.seed).into_diagnostic()?),
+        Some(path) => {
+            Some(Trace::create(path, &config.arm.name, &rig, plant.pace, plant.truth.seed).into_diagnostic()?)
+        }
         None => None,
     };
     let server = Server::open(&config, &plant, rig, schedule, trace)

@@ -96,6 +96,8 @@ pub struct Served {
     pub given_up_ns: u64,
     /// Frames dropped because a bus refused them for too long.
     pub dropped: u64,
+    /// Records that the trace did not keep (real time).
+    pub untraced: u64,
     /// Frames that a fault on the wire hit.
     pub disturbed: u64,
     /// Periods since the first drive was enabled, that one counted; 0 if none was.
@@ -250,9 +252,9 @@ impl Server {
             Pace::Lockstep => self.lockstep(stop),
             Pace::Realtime => self.realtime(stop),
         };
-        let finished = self.trace.take().map_or(Ok(()), Trace::finish);
+        let finished = self.trace.take().map_or(Ok(0), Trace::finish);
         ended?;
-        finished?;
+        self.served.untraced = finished?;
         for wire in &self.wires {
             let (out, into) = wire.bus.counts();
             for c in [out, into] {
@@ -535,7 +537,11 @@ impl Server {
 
     fn record_at(&mut self, time_ns: u64) -> Result<(), ServerError> {
         if let Some(trace) = &mut self.trace {
-            trace.add(&self.rig, time_ns, self.served.syncs)?;
+            trace.add(&self.rig, time_ns, self.served.syncs);
+            if self.pace == Pace::Lockstep && trace.dropped() > 0 {
+                // The disk has refused; it says why at the end of the file.
+                self.trace.take().map_or(Ok(0), Trace::finish)?;
+            }
         }
         Ok(())
     }

@@ -1,30 +1,33 @@
 //! The truth, tick by tick, in the recordings' own schema, so that whatever reads a recording reads this too.
 //!
-//! Enters: the rig. Leaves: `State` records in an MCAP file, written in place: a trace loses nothing, it rather makes the
-//! plant late. Fields that only a controller knows stay at their defaults. In a record
-//! `header.tick` is the number of SYNCs served, `header.capture_ns` the plant's time (CLOCK_MONOTONIC, or in lockstep the
+//! Enters: the rig. Leaves: `State` records in an MCAP file, which a thread of its own writes. In real time a disk that does
+//! not keep up costs records, which are counted, and never a step; in lockstep the plant waits for it, and nothing is
+//! lost. Fields that only a controller knows stay at their defaults. In a record `header.tick` is the number of SYNCs served, `header.capture_ns` the plant's time (CLOCK_MONOTONIC, or in lockstep the
 //! number of SYNCs times the period), `tension_command_n` what the drums were told, `tension_measured_n` what the cables
 //! have at their drives, `cable_length_m` the true lengths, and pose, curvatures and nodes are the true arm's.
 
+use crate::config::Pace;
 use crate::rig::Rig;
+use sinew::ipc::Tap;
 use sinew::ipc::payload::{Header, MAX_NODES, State};
-use sinew::recording::{Recording, RecordingError};
+use sinew::recording::{Recorder, RecordingError};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::atomic::Ordering;
 
 /// Writes the truth.
 pub struct Trace {
-    recording: Recording,
+    recorder: Recorder,
     state: Box<State>,
     sequence: u64,
 }
 
 impl Trace {
-    /// Creates the file.
+    /// Creates the file and starts the thread.
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn create(path: &Path, arm: &str, rig: &Rig, seed: u64) -> Result<Self, RecordingError> {
+    pub fn create(path: &Path, arm: &str, rig: &Rig, pace: Pace, seed: u64) -> Result<Self, RecordingError> {
         let nodes = rig.truth().config().node_count();
         if nodes > MAX_NODES {
             tracing::warn!(nodes, room = MAX_NODES, "the trace holds every {}-th node", State::stride_for(nodes));
@@ -34,15 +37,16 @@ impl Trace {
             ("content".to_owned(), "true state of the simulated arm".to_owned()),
             ("seed".to_owned(), seed.to_string()),
         ]);
-        let recording = Recording::create(path, arm, &about)?;
-        Ok(Self { recording, state: Box::default(), sequence: 0 })
+        let recorder = Recorder::start(path, arm, &about, 0)?;
+        let recorder = match pace {
+            Pace::Lockstep => recorder.patient(),
+            Pace::Realtime => recorder,
+        };
+        Ok(Self { recorder, state: Box::default(), sequence: 0 })
     }
 
     /// Adds the present state.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn add(&mut self, rig: &Rig, time_ns: u64, syncs: u64) -> Result<(), RecordingError> {
+    pub fn add(&mut self, rig: &Rig, time_ns: u64, syncs: u64) {
         let (s, truth) = (&mut *self.state, rig.truth());
         s.header = Header::new(0, self.sequence, time_ns).for_tick(syncs);
         s.time_s = rig.time_s();
@@ -62,15 +66,20 @@ impl Trace {
             |i| std::array::from_fn(|k| q[7 * i + 3 + k]),
         );
         self.sequence += 1;
-        self.recording.state(time_ns, s)
+        self.recorder.state(s);
     }
 
-    /// Completes the file.
+    /// Records that were not kept so far: in lockstep none but after the disk has refused.
+    pub fn dropped(&self) -> u64 {
+        self.recorder.dropped().load(Ordering::Relaxed)
+    }
+
+    /// Completes the file; the number of records that were not kept.
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn finish(self) -> Result<(), RecordingError> {
-        self.recording.finish().map(drop)
+    pub fn finish(self) -> Result<u64, RecordingError> {
+        self.recorder.finish()
     }
 }
 

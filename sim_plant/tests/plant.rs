@@ -377,4 +377,5 @@ fn what_cannot_be_run_is_refused_with_code_2() {
     refused(&["--fault", "stick:25"], "cables 1 to 24");
     refused(&["--start-tensions", "1,2"], "2 start tensions for 24 cables");
     refused(&["--start-scenario", "nowhere"], "built-in scenarios");
+    refused(&["--trace", "/dev/full"], "No space left");
 }

@@ -156,8 +156,9 @@ impl Obstacle {
     }
 }
 
-/// Obstacles, [`OBSTACLES_MAX`] at most unless made for more, addressed by index. Prepared off the control thread; there it is moved only:
-/// poses, velocities and growths change without allocation, and whatever would free memory is handed back.
+/// Obstacles, [`OBSTACLES_MAX`] at most unless made for more, addressed by index. Prepared off the control thread; there
+/// it is moved only: poses, velocities and growths change without allocation, and whatever would free memory is handed
+/// back.
 #[derive(Debug, Clone)]
 pub struct ObstacleSet {
     obstacles: Vec<Obstacle>,

@@ -37,12 +37,12 @@ pub trait Estimator {
     /// [`EstimatorFailure::NoStart`].
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure>;
 
-    /// Advances by one period to the time of `lengths_m` (m). `sent_n` are the tensions (N) sent in the tick before, zero
-    /// where the drives gave no torque; `measured` tells which lengths are readings, the others are bridged by the model.
+    /// Advances by one period to the time of `lengths_m` (m); one that is not finite is no reading. `sent_n` are the tensions
+    /// (N) sent in the tick before, zero where the drives gave no torque.
     ///
     /// # Errors
     /// [`EstimatorFailure::Step`].
-    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure>;
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure>;
 
     /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
@@ -66,14 +66,13 @@ pub trait Estimator {
     }
 }
 
-/// The real one. [`Observer::start`] still allocates a few short vectors, once per arming.
 impl Estimator for Observer {
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure> {
         Self::start(self, lengths_m, &[], tensions_n).map_err(|_| EstimatorFailure::NoStart)
     }
 
-    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], measured: &[bool]) -> Result<Estimate, EstimatorFailure> {
-        let update = Self::update(self, sent_n, lengths_m, measured);
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure> {
+        let update = Self::update(self, sent_n, lengths_m, &[]);
         if update.failed {
             return Err(EstimatorFailure::Step);
         }

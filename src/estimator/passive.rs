@@ -1,10 +1,10 @@
 //! The passive observer (design section 6): the model with a spring and a Maxwell damper in cable space.
 //!
 //! `z = T^T (l_model - l_measured)`, `w = K z + D (z - y)/tau_f`, `tau_f y' = z - y`, `beta' = w/T_b`. The model feels
-//! `u + T (beta + w)`; `T beta` is the disturbance that the planner predicts with. The correction is implicit: with
-//! `D_e = D/(tau_f + h)` and `w = (K + D_e) z_k - D_e y_{k-1}` it adds `(G T)(K + D_e)(G T)^T` to the tangent, which an
-//! 8x8 Woodbury correction of the block-tridiagonal factor solves. An explicit one diverges within 0.03 s: the spring
-//! would be stiffer than the light end disks allow.
+//! `u + T (beta + w)`; `T beta` is the disturbance that the planner predicts with, and through a latency `w` fades out.
+//! The correction is implicit: with `D_e = D/(tau_f + h)` and `w = (K + D_e) z_k - D_e y_{k-1}` it adds
+//! `(G T)(K + D_e)(G T)^T` to the tangent, which an 8x8 Woodbury correction of the block-tridiagonal factor solves. An
+//! explicit one diverges within 0.03 s: the spring would be stiffer than the light end disks allow.
 
 use super::cable_space::CableSpace;
 use super::health::Health;
@@ -13,13 +13,20 @@ use crate::integrator::{Scheme, Stepper};
 use crate::math::block_tridiagonal::BLOCK;
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
-/// Stop of the iteration: the next correction of the coordinates would have a norm below this (m, 1). A thousandth of an encoder step moves the tip
-/// by more than this.
+
+/// Stop of the iteration: the next correction of the coordinates would have a norm below this (m, 1). A thousandth of an
+/// encoder step moves the tip by more.
 const TOLERANCE: f64 = 1e-8;
 /// Newton iterations of one observer step; two are usual.
 const ITERATIONS_MAX: usize = 8;
 /// Newton iterations of one model step of the latency compensation.
 const PREDICTION_ITERATIONS_MAX: usize = 6;
+/// Time constant (s) with which the correction `w` fades from the prediction through the latency. The planner carries the
+/// acceleration it starts from over its whole lookahead. Left out at once, `w` is a step of force, and one or two
+/// milliseconds later the light end disks are still answering it: the closed loop diverges (1.3 m at 1 ms, one tick).
+/// Kept for good, it is an open-loop force on an error that the observer takes away: diverges from 150 ms on. With 10 to
+/// 50 ms every latency from 1 to 200 ms is stable (`sim_plant/tests/closed_loop.rs`).
+const CORRECTION_FADES_S: f64 = 0.05;
 
 /// What one tick brought. Data, not faults.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +51,7 @@ pub struct Update {
     pub failed: bool,
 }
 
-/// The observer of one arm. [`Observer::new`] and [`Observer::start`] allocate, nothing else does.
+/// The observer of one arm. [`Observer::new`] allocates, nothing else does.
 #[derive(Debug, Clone)]
 pub struct Observer {
     pub(super) arm: Arm,
@@ -72,6 +79,8 @@ pub struct Observer {
     pub(super) length: Vec<f64>,
     pub(super) z: Vec<f64>,
     pub(super) w: Vec<f64>,
+    /// What is left of `w` on the way through the latency.
+    fading: Vec<f64>,
     pub(super) effective: Vec<f64>,
     /// `V = B T`, row-major 11N x angles, and `S^-1 V`.
     pub(super) v: Vec<f64>,
@@ -126,6 +135,7 @@ impl Observer {
             length: vec![0.0; nc],
             z: vec![0.0; angles],
             w: vec![0.0; angles],
+            fading: vec![0.0; angles],
             effective: vec![0.0; nc],
             v: vec![0.0; BLOCK * n * angles],
             sv: vec![0.0; BLOCK * n * angles],
@@ -222,6 +232,7 @@ impl Observer {
         self.y.fill(0.0);
         self.beta.fill(0.0);
         self.z.fill(0.0);
+        self.w.fill(0.0);
         self.health.reset();
     }
 
@@ -327,10 +338,13 @@ impl Observer {
         self.disturbance.fill(0.0);
         self.full.add_tensions(&self.beta, &mut self.disturbance);
         self.predicted.copy_from(&self.state);
+        self.fading.copy_from_slice(&self.w);
         for sent in &self.sent[1..] {
             for (e, (u, d)) in self.effective.iter_mut().zip(sent.iter().zip(&self.disturbance)) {
                 *e = u + d;
             }
+            self.fading.iter_mut().for_each(|w| *w *= CORRECTION_FADES_S / (CORRECTION_FADES_S + self.period));
+            self.space.add_tensions(&self.fading, &mut self.effective);
             let step = self.stepper.step(
                 &self.arm,
                 &self.scheme,

@@ -8,7 +8,9 @@
 //! `beta` of both bounds are eliminated by hand: per component
 //! `rho(z - l, rho(h - z, -F)) = 0` with `rho` of (24) (Billups 1995), so Newton works on the tensions and the few
 //! rows that matter. Rows enter only when a solution without them violates them: adjacent points of an arm give nearly
-//! equal rows, and a Newton on all of them would be needlessly large and badly conditioned.
+//! equal rows, and a Newton on all of them would be needlessly large and badly conditioned. Rows that held back the
+//! solution of a like problem may be told, with their multipliers: they are there from the start
+//! ([`Solver::solve_warm`]), and the answer is the same.
 //!
 //! Anytime: the caller's `stop` is asked after every Newton iteration. An answer that is not known to be optimal (stopped,
 //! or at the iteration limit) may ignore rows that were not yet in the working set; it is therefore never taken unseen
@@ -106,6 +108,8 @@ pub struct Solver {
 const TOLERANCE: f64 = 1e-13;
 /// Most Newton iterations per working set.
 const ITERATIONS_MAX: usize = 80;
+/// Most Newton iterations of a working set that was told; where they do not solve it, it was a bad guess.
+const WARM_ITERATIONS_MAX: usize = 12;
 /// A row is violated when `C u + d` is below minus this share of its size.
 const ROW_TOLERANCE: f64 = 1e-10;
 /// Compliance of the rows in scaled units: keeps the Newton matrix regular when working rows are parallel.
@@ -155,6 +159,22 @@ impl Solver {
     /// # Panics
     /// If the problem has more rows than the solver has room for.
     pub fn solve(&mut self, problem: &Problem<'_>, u: &mut [f64], stop: &mut dyn FnMut() -> bool) -> Report {
+        self.solve_warm(problem, &[], u, stop)
+    }
+
+    /// [`Solver::solve`] with a guess of the rows' multipliers, as [`Solver::multipliers`] gave them for a like problem; 0
+    /// for rows that are not expected to matter, empty for no guess. A guess changes the way, not the answer; one that
+    /// leads nowhere is dropped. Does not allocate.
+    ///
+    /// # Panics
+    /// If the problem has more rows than the solver has room for.
+    pub fn solve_warm(
+        &mut self,
+        problem: &Problem<'_>,
+        guess: &[f64],
+        u: &mut [f64],
+        stop: &mut dyn FnMut() -> bool,
+    ) -> Report {
         let (n, p) = (self.n, problem.d.len());
         assert!(p <= self.capacity, "{p} rows, room for {}", self.capacity);
         for i in 0..n {
@@ -179,8 +199,13 @@ impl Solver {
         }
         let mut best = self.penalized(problem, &self.best);
         let mut stopped = false;
+        for (row, multiplier) in guess.iter().enumerate().filter(|(_, multiplier)| **multiplier > 0.0) {
+            self.enter(problem, row, *multiplier);
+        }
+        let mut guessed = !self.row_of.is_empty();
         let left_out = loop {
-            let (iterations, residual) = self.newton(problem, size, stop, &mut stopped);
+            let limit = if guessed { WARM_ITERATIONS_MAX } else { ITERATIONS_MAX };
+            let (iterations, residual) = self.newton(problem, size, limit, stop, &mut stopped);
             report.iterations += iterations;
             // Over an infinite size everything would be small.
             report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
@@ -192,6 +217,15 @@ impl Solver {
             if cost < best || best.is_nan() {
                 best = cost;
                 self.best.copy_from_slice(u);
+            }
+            // A guess that leads nowhere: from the best so far, without it.
+            if std::mem::take(&mut guessed) && !stopped && !is_solved(&report) {
+                for i in 0..n {
+                    self.z[i] = self.best[i] / self.scale[i];
+                }
+                self.used[..p].fill(false);
+                self.row_of.clear();
+                continue;
             }
             // Stopped, a solution of the working set is one of the problem only where no row is left out.
             let left_out = self.add_violated(problem, u);
@@ -210,8 +244,7 @@ impl Solver {
             problem.d[row] + problem.c[row * n..(row + 1) * n].iter().zip(&*u).map(|(c, u)| c * u).sum::<f64>()
         };
         relaxed |= (0..p).any(|r| !self.used[r] && value(r) < -1e-9);
-        // Not `>`: a residual that is not a number is no optimum.
-        let optimal = report.kkt_residual <= 1e-9 && !left_out;
+        let optimal = is_solved(&report) && !left_out;
         report.status = if !optimal {
             u.copy_from_slice(&self.best);
             if stopped { Status::Stopped } else { Status::IterationLimit }
@@ -236,8 +269,7 @@ impl Solver {
                     continue;
                 }
                 let c = &problem.c[row * n..(row + 1) * n];
-                let size = c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt();
-                if size == 0.0 {
+                if self.row_length(c) == 0.0 {
                     continue;
                 }
                 let value = problem.d[row] + c.iter().zip(u).map(|(c, u)| c * u).sum::<f64>();
@@ -249,21 +281,29 @@ impl Solver {
             if worst.0 == usize::MAX {
                 break;
             }
-            let (row, k) = (worst.0, self.row_of.len());
-            self.used[row] = true;
-            self.row_of.push(row);
-            let c = &problem.c[row * n..(row + 1) * n];
-            let size = c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt();
-            for i in 0..n {
-                self.c[k * n + i] = c[i] * self.scale[i] / size;
-            }
-            self.row_scale[k] = size;
-            self.z[n + k] = 0.0;
-            self.low[n + k] = 0.0;
-            self.high[n + k] = self.multiplier_max();
+            self.enter(problem, worst.0, 0.0);
             added += 1;
         }
         added > 0
+    }
+
+    /// Takes a row into the working set, where there is room and some tension moves it.
+    fn enter(&mut self, problem: &Problem<'_>, row: usize, multiplier: f64) {
+        let (n, k) = (self.n, self.row_of.len());
+        let c = &problem.c[row * n..(row + 1) * n];
+        let size = self.row_length(c);
+        if n + k == self.z.len() || size == 0.0 {
+            return;
+        }
+        self.used[row] = true;
+        self.row_of.push(row);
+        for i in 0..n {
+            self.c[k * n + i] = c[i] * self.scale[i] / size;
+        }
+        self.row_scale[k] = size;
+        self.low[n + k] = 0.0;
+        self.high[n + k] = self.multiplier_max();
+        self.z[n + k] = (multiplier * size).min(self.high[n + k]);
     }
 
     /// What the last solve minimised, at any tensions: the quadratic plus the L1 penalty of all rows, in the working set
@@ -276,16 +316,17 @@ impl Solver {
             .map(|row| {
                 let c = &problem.c[row * n..(row + 1) * n];
                 let value = problem.d[row] + product(c);
-                if value < 0.0 { -value / self.row_size(c) } else { 0.0 }
+                // A row that no tension moves counts by its depth alone.
+                let size = self.row_length(c);
+                if value < 0.0 { -value / if size == 0.0 { 1.0 } else { size } } else { 0.0 }
             })
             .sum();
         cost + 2.0 * self.multiplier_max() * violation
     }
 
-    /// Length of a row in scaled tensions; a row that no tension moves counts by its depth alone.
-    fn row_size(&self, c: &[f64]) -> f64 {
-        let size = c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt();
-        if size == 0.0 { 1.0 } else { size }
+    /// Length of a row in scaled tensions.
+    fn row_length(&self, c: &[f64]) -> f64 {
+        c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt()
     }
 
     /// M, the bound of the multipliers.
@@ -306,6 +347,7 @@ impl Solver {
         &mut self,
         problem: &Problem<'_>,
         size: f64,
+        limit: usize,
         stop: &mut dyn FnMut() -> bool,
         stopped: &mut bool,
     ) -> (usize, f64) {
@@ -317,7 +359,7 @@ impl Solver {
         self.evaluate(problem, &z, &mut force[..m]);
         let mut residual = self.natural(&z[..m], &force[..m]);
         let mut iterations = 0;
-        while residual > TOLERANCE * size && iterations < ITERATIONS_MAX {
+        while residual > TOLERANCE * size && iterations < limit {
             iterations += 1;
             let mut merit = 0.0;
             for i in 0..m {
@@ -393,6 +435,11 @@ impl Solver {
     }
 }
 
+/// Whether the last working set was solved: a residual that is not a number is no optimum.
+fn is_solved(report: &Report) -> bool {
+    report.kkt_residual <= 1e-9
+}
+
 /// [`Solver::evaluate`] with the processor's vectors: `F(z)` of the working set.
 struct Evaluation<'a> {
     solver: &'a Solver,
@@ -444,183 +491,5 @@ fn fischer_burmeister(tau: f64, chi: f64) -> (f64, [f64; 2]) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_xoshiro::Xoshiro256PlusPlus;
-
-    struct Case {
-        a: Vec<f64>,
-        b: Vec<f64>,
-        lower: Vec<f64>,
-        upper: Vec<f64>,
-        c: Vec<f64>,
-        d: Vec<f64>,
-    }
-
-    impl Case {
-        fn problem(&self) -> Problem<'_> {
-            Problem { a: &self.a, b: &self.b, lower: &self.lower, upper: &self.upper, c: &self.c, d: &self.d }
-        }
-    }
-
-    /// Random strictly convex problems with weights spread over 12 decades; feasible rows unless told.
-    fn random(n: usize, rows: usize, seed: u64) -> Case {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let root: Vec<f64> = (0..n * n).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let weight: Vec<f64> = (0..n).map(|_| 10f64.powf(rng.random_range(4.0..7.0))).collect();
-        let mut a = vec![0.0; n * n];
-        for i in 0..n {
-            for j in 0..n {
-                a[i * n + j] = (0..n).map(|k| root[k * n + i] * root[k * n + j] * weight[k]).sum();
-            }
-            a[i * n + i] += 1e4;
-        }
-        let inside: Vec<f64> = (0..n).map(|_| rng.random_range(0.0..220.0)).collect();
-        let wanted: Vec<f64> = (0..n).map(|_| rng.random_range(-100.0..320.0)).collect();
-        let b = (0..n).map(|i| -(0..n).map(|j| a[i * n + j] * wanted[j]).sum::<f64>()).collect();
-        let c: Vec<f64> = (0..rows * n).map(|_| rng.random_range(-1e-3..1e-3)).collect();
-        let d = (0..rows)
-            .map(|r| rng.random_range(0.0..0.01) - (0..n).map(|j| c[r * n + j] * inside[j]).sum::<f64>())
-            .collect();
-        Case { a, b, lower: vec![0.0; n], upper: vec![220.0; n], c, d }
-    }
-
-    fn kkt(case: &Case, u: &[f64], mu: &[f64]) -> f64 {
-        let n = u.len();
-        let mut worst = 0.0f64;
-        for i in 0..n {
-            let mut g = case.b[i] + (0..n).map(|j| case.a[i * n + j] * u[j]).sum::<f64>();
-            g -= (0..mu.len()).map(|r| case.c[r * n + i] * mu[r]).sum::<f64>();
-            let g = g / case.a[i * n + i];
-            worst = worst.max((u[i] - (u[i] - g).clamp(case.lower[i], case.upper[i])).abs());
-        }
-        // Multipliers are costs per metre, up to 1e9 here: compare them by their share of the largest.
-        let largest = mu.iter().fold(1.0f64, |a, m| a.max(*m));
-        for (r, m) in mu.iter().map(|m| m / largest).enumerate() {
-            let s = case.d[r] + (0..n).map(|j| case.c[r * n + j] * u[j]).sum::<f64>();
-            assert!(s > -1e-7 && m >= 0.0 && s.min(m).abs() < 1e-7, "row {r}: {s} {m}");
-        }
-        worst
-    }
-
-    #[test]
-    fn complementarity_holds_at_the_solution_of_random_box_problems() {
-        let mut most = 0;
-        for seed in 0..200 {
-            let case = random(24, 0, seed);
-            let mut solver = Solver::new(24, 0);
-            let mut u = vec![0.0; 24];
-            let report = solver.solve(&case.problem(), &mut u, &mut || false);
-            assert_eq!(report.status, Status::Optimal, "seed {seed} {report:?}");
-            assert!(kkt(&case, &u, &[]) < 1e-8, "seed {seed} {report:?} {}", kkt(&case, &u, &[]));
-            most = most.max(report.iterations);
-        }
-        assert!(most <= 60, "{most} iterations");
-    }
-
-    #[test]
-    fn complementarity_holds_with_rows_and_with_duplicated_rows() {
-        for seed in 0..200 {
-            let mut case = random(24, 12, seed);
-            for copy in 0..4 {
-                let row = case.c[copy * 24..(copy + 1) * 24].to_vec();
-                case.c.extend(row);
-                case.d.push(case.d[copy]);
-            }
-            let mut solver = Solver::new(24, 16);
-            let mut u = vec![110.0; 24];
-            let report = solver.solve(&case.problem(), &mut u, &mut || false);
-            assert_eq!(report.status, Status::Optimal, "seed {seed} {report:?}");
-            assert!(kkt(&case, &u, solver.multipliers()) < 1e-6, "seed {seed} {report:?}");
-        }
-    }
-
-    #[test]
-    fn conflicting_rows_are_relaxed_and_the_status_says_so() {
-        let mut case = random(6, 0, 3);
-        // u_0 >= 100 and u_0 <= 50 together.
-        case.c = [vec![1.0, 0.0, 0.0, 0.0, 0.0, 0.0], vec![-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]].concat();
-        case.d = vec![-100.0, 50.0];
-        let mut u = vec![0.0; 6];
-        let report = Solver::new(6, 2).solve(&case.problem(), &mut u, &mut || false);
-        assert_eq!(report.status, Status::Relaxed, "{report:?}");
-        assert!(u[0] > 49.9 && u[0] < 100.1, "{u:?}");
-        assert!(u.iter().all(|v| (0.0..=220.0).contains(v)));
-    }
-
-    #[test]
-    fn a_problem_that_is_not_finite_is_not_optimal_and_its_answer_stays_in_the_box() {
-        for entry in [f64::NAN, f64::INFINITY] {
-            let mut case = random(6, 0, 3);
-            case.b[2] = entry;
-            let mut u = vec![10.0; 6];
-            let report = Solver::new(6, 0).solve(&case.problem(), &mut u, &mut || false);
-            assert_eq!(report.status, Status::IterationLimit, "{entry}: {report:?}");
-            assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "{entry}: {u:?}");
-        }
-    }
-
-    /// Many rows of which a random start violates most, and rows that contradict each other.
-    fn hard(seed: u64) -> Case {
-        let n = 24;
-        let mut case = random(n, 60, seed);
-        if seed % 2 == 1 {
-            for row in 0..20 {
-                let opposite: Vec<f64> = case.c[row * n..(row + 1) * n].iter().map(|c| -c).collect();
-                case.c.extend(opposite);
-                case.d.push(-case.d[row] - 0.01);
-            }
-        }
-        case
-    }
-
-    #[test]
-    fn a_solve_that_is_stopped_anywhere_is_bounded_and_no_worse_than_its_start() {
-        let (mut stopped, mut gained) = (0, 0);
-        for seed in 0..12 {
-            let case = hard(seed);
-            let problem = case.problem();
-            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-            let start: Vec<f64> = (0..24).map(|_| rng.random_range(0.0..220.0)).collect();
-            let mut solver = Solver::new(24, 80);
-            let (mut least, mut last) = (f64::INFINITY, f64::INFINITY);
-            for k in (0..12).chain([20, 30, 50, 80, 120, 200, usize::MAX]) {
-                let (mut asked, mut late) = (0, 0);
-                let mut u = start.clone();
-                let report = solver.solve(&problem, &mut u, &mut || {
-                    late += usize::from(asked > k);
-                    asked += 1;
-                    asked > k
-                });
-                let (before, after) = (solver.penalized(&problem, &start), solver.penalized(&problem, &u));
-                assert!(after <= before * (1.0 + 1e-12 * before.signum()), "seed {seed} k {k}: {after} from {before}");
-                assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "seed {seed} k {k}: {u:?}");
-                assert_eq!(late, 0, "seed {seed} k {k}: asked after the end");
-                // The iteration after which it was said is the last.
-                assert_eq!(report.iterations, asked, "seed {seed} k {k}: {report:?}");
-                assert!(report.iterations <= k.saturating_add(1), "seed {seed} k {k}: {report:?}");
-                if !report.status.is_optimal() && asked > k {
-                    assert_eq!(report.status, Status::Stopped);
-                    stopped += 1;
-                    gained += usize::from(after < before);
-                }
-                least = least.min(after);
-                last = after;
-            }
-            // No stopped answer is better than the solved one.
-            assert!(last <= least + 1e-6 * least.abs(), "seed {seed}: {last}, {least} on the way");
-        }
-        assert!(stopped > 60 && gained > 30, "{stopped} stops, {gained} of them with a better answer");
-    }
-
-    #[test]
-    fn a_warm_start_at_the_answer_needs_no_iteration() {
-        let case = random(24, 0, 9);
-        let mut solver = Solver::new(24, 0);
-        let mut u = vec![0.0; 24];
-        solver.solve(&case.problem(), &mut u, &mut || false);
-        let again = solver.solve(&case.problem(), &mut u.clone(), &mut || false);
-        assert!(again.iterations <= 1, "{again:?}");
-    }
-}
+#[path = "complementarity_tests.rs"]
+mod tests;

@@ -26,14 +26,6 @@ pub enum Status {
     BudgetSpent,
 }
 
-impl Report {
-    /// True where the search itself found its answer or confirmed a seed among its particles; false where a swarm that
-    /// knows no seeds found nothing as good as one: it then says nothing about that seed.
-    pub fn found(&self) -> bool {
-        !self.beaten
-    }
-}
-
 /// Report of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Report {
@@ -51,6 +43,14 @@ pub struct Report {
     pub seed: Option<usize>,
     /// True where a seed that was not among the particles is better than all that they found.
     beaten: bool,
+}
+
+impl Report {
+    /// True where the search itself found its answer or confirmed a seed among its particles; false where a swarm that
+    /// knows no seeds found nothing as good as one: it then says nothing about that seed.
+    pub fn found(&self) -> bool {
+        !self.beaten
+    }
 }
 
 /// Pairs as the swarm sees them: positions affine in the tensions.

@@ -33,7 +33,7 @@ pub enum RecordingError {
         source: std::io::Error,
     },
     /// The container format.
-    #[error("recording: {0}")]
+    #[error("recording: {}", reason(.0))]
     Mcap(#[from] mcap::McapError),
     /// A message does not match its schema.
     #[error("recording: message of {topic} does not match its schema: {why}")]
@@ -43,4 +43,12 @@ pub enum RecordingError {
         /// What is wrong.
         why: String,
     },
+}
+
+/// The operating system's word where there is one: the container's own only says that there was an error.
+fn reason(error: &mcap::McapError) -> String {
+    match error {
+        mcap::McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
+    }
 }

@@ -1,4 +1,4 @@
-//! Writing: directly (open-loop runs), or through a thread of its own (the daemon).
+//! Writing: directly (open-loop runs), or through a thread of its own (the daemon, the simulated plant).
 
 use super::RecordingError;
 use super::cdr::{Fields, encode, encode_into, schema};
@@ -161,7 +161,8 @@ impl Packet {
     }
 }
 
-/// Hands messages to a thread that writes them. Never blocks: what finds the queue full is dropped and counted.
+/// Hands messages to a thread that writes them. Never blocks unless told to ([`Recorder::patient`]): what finds the queue
+/// full is dropped and counted.
 ///
 /// The one who hands over runs at real-time priority and the thread at none, so they share nothing that one could wait
 /// for: two rings, one with messages, one with their buffers on the way back. A channel of the standard library would do
@@ -173,9 +174,10 @@ pub struct Recorder {
     /// Messages; `None` once closed.
     queue: Option<Producer<Packet>>,
     empty: Consumer<Packet>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<Result<(), RecordingError>>>,
     dropped: Arc<AtomicU64>,
     offset_ns: u64,
+    patient: bool,
 }
 
 impl Recorder {
@@ -192,15 +194,58 @@ impl Recorder {
     ) -> Result<Self, RecordingError> {
         let mut about = about.clone();
         about.insert("monotonic_offset_ns".into(), offset_ns.to_string());
-        let recording = Recording::create(path, arm, &about)?;
+        Self::hand_over(Recording::create(path, arm, &about)?, offset_ns)
+            .map_err(|source| RecordingError::File { path: path.display().to_string(), source })
+    }
+
+    /// Gives a recording to a thread of its own.
+    fn hand_over<W>(recording: Recording<W>, offset_ns: u64) -> std::io::Result<Self>
+    where
+        W: Write + Seek + Send + 'static,
+    {
         let (queue, packets) = RingBuffer::new(QUEUE);
         let (mut used, empty) = RingBuffer::new(QUEUE);
         while used.push(Packet::empty()).is_ok() {}
         let thread = std::thread::Builder::new()
             .name("sinew-record".into())
-            .spawn(move || write_all(recording, packets, used))
-            .map_err(|source| RecordingError::File { path: path.display().to_string(), source })?;
-        Ok(Self { queue: Some(queue), empty, thread: Some(thread), dropped: Arc::default(), offset_ns })
+            .spawn(move || write_all(recording, packets, used))?;
+        let (queue, thread) = (Some(queue), Some(thread));
+        Ok(Self { queue, empty, thread, dropped: Arc::default(), offset_ns, patient: false })
+    }
+
+    /// One that waits for room in place of dropping: for runs in which nothing waits for the clock. It drops, and counts,
+    /// only after the disk has refused.
+    #[must_use]
+    pub fn patient(mut self) -> Self {
+        self.patient = true;
+        self
+    }
+
+    /// Writes what waits and finishes the file; the number of messages dropped.
+    ///
+    /// # Errors
+    /// The file could not be written: what was recorded before stays readable.
+    pub fn finish(mut self) -> Result<u64, RecordingError> {
+        self.close()?;
+        Ok(self.dropped.load(Ordering::Relaxed))
+    }
+
+    fn close(&mut self) -> Result<(), RecordingError> {
+        drop(self.queue.take());
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        let panicked = |_| Err(mcap::McapError::from(std::io::Error::other("its thread panicked")).into());
+        thread.join().unwrap_or_else(panicked)
+    }
+
+    /// A buffer, and for a patient recorder the time that it takes.
+    fn buffer(&mut self) -> Option<Packet> {
+        loop {
+            match (self.empty.pop(), &self.queue) {
+                (Ok(packet), _) => return Some(packet),
+                (Err(_), Some(queue)) if self.patient && !queue.is_abandoned() => std::thread::sleep(LOOK),
+                _ => return None,
+            }
+        }
     }
 
     /// Counter of dropped messages; stays valid when the recorder has gone elsewhere.
@@ -210,10 +255,11 @@ impl Recorder {
 
     fn push<T: Fields>(&mut self, channel: Channel, time_ns: u64, message: &T) {
         let time_ns = time_ns.saturating_add(self.offset_ns);
-        let pushed = match (&mut self.queue, self.empty.pop()) {
+        let buffer = self.buffer();
+        let pushed = match (&mut self.queue, buffer) {
             // Nobody there to write it: the thread has ended early.
             (Some(queue), _) if queue.is_abandoned() => false,
-            (Some(queue), Ok(mut packet)) => {
+            (Some(queue), Some(mut packet)) => {
                 (packet.channel, packet.time_ns) = (channel, time_ns);
                 encode_into(message, &mut packet.data);
                 // There are no more packets than places.
@@ -228,7 +274,11 @@ impl Recorder {
 }
 
 /// The thread: until the queue is closed and empty, or the disk refuses.
-fn write_all(mut recording: Recording, mut packets: Consumer<Packet>, mut used: Producer<Packet>) {
+fn write_all<W: Write + Seek>(
+    mut recording: Recording<W>,
+    mut packets: Consumer<Packet>,
+    mut used: Producer<Packet>,
+) -> Result<(), RecordingError> {
     let mut write = || -> Result<(), RecordingError> {
         loop {
             // Asked before the queue is emptied: what was pushed before it was closed is written.
@@ -244,10 +294,10 @@ fn write_all(mut recording: Recording, mut packets: Consumer<Packet>, mut used: 
             std::thread::sleep(LOOK);
         }
     };
-    if let Err(error) = write().and_then(|()| recording.finish().map(drop)) {
-        // The ring's end goes with this thread: from here on every message counts as dropped.
-        tracing::error!(%error, "recording ended early");
-    }
+    // The ring's end goes with this thread: after an error every message counts as dropped.
+    write()
+        .and_then(|()| recording.finish().map(drop))
+        .inspect_err(|error| tracing::error!(%error, "recording ended early"))
 }
 
 impl Tap for Recorder {
@@ -270,11 +320,109 @@ impl Tap for Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        drop(self.queue.take());
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the recording thread panicked");
+        // Whoever wants to know asks by `finish`; the thread itself has said it, too.
+        let _ = self.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Cursor, SeekFrom};
+    use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+    /// A disk that takes nothing before its gate opens, and refuses from a number of bytes on.
+    struct Disk {
+        gate: Option<Receiver<()>>,
+        room: usize,
+        written: Cursor<Vec<u8>>,
+        done: SyncSender<Vec<u8>>,
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, data: &[u8]) -> std::io::Result<usize> {
+            if let Some(gate) = &self.gate
+                && self.written.get_ref().len() > 4096
+            {
+                let _ = gate.recv(); // opened, or its owner is gone
+                self.gate = None;
+            }
+            if self.written.get_ref().len() + data.len() > self.room {
+                return Err(std::io::Error::other("full"));
+            }
+            self.written.write(data)
         }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for Disk {
+        fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+            self.written.seek(to)
+        }
+    }
+
+    impl Drop for Disk {
+        fn drop(&mut self) {
+            let _ = self.done.try_send(std::mem::take(self.written.get_mut()));
+        }
+    }
+
+    /// A recorder on a disk with `room` bytes, the key of its gate, and the bytes once it is done.
+    fn recorder(room: usize) -> (Recorder, SyncSender<()>, Receiver<Vec<u8>>) {
+        let ((key, gate), (done, bytes)) = (sync_channel(1), sync_channel(1));
+        let disk = Disk { gate: Some(gate), room, written: Cursor::default(), done };
+        let recording = Recording::new(disk, "paper", &BTreeMap::new()).unwrap();
+        (Recorder::hand_over(recording, 0).unwrap(), key, bytes)
+    }
+
+    fn record(recorder: &mut Recorder, ticks: std::ops::Range<u64>) {
+        let mut state = State::default();
+        for tick in ticks {
+            state.header.capture_ns = 1_000_000 * tick;
+            recorder.state(&state);
+        }
+    }
+
+    fn count(bytes: &[u8]) -> u64 {
+        mcap::Summary::read(bytes).unwrap().unwrap().stats.unwrap().message_count
+    }
+
+    #[test]
+    fn a_disk_that_stands_still_costs_messages_and_no_waiting() {
+        let (mut recorder, key, bytes) = recorder(usize::MAX);
+        let all = 4 * QUEUE as u64;
+        // Returns although nothing is written before the key is turned.
+        record(&mut recorder, 0..all);
+        key.send(()).unwrap();
+        let dropped = recorder.finish().unwrap();
+        assert!(dropped > QUEUE as u64, "{dropped}");
+        assert_eq!(count(&bytes.recv().unwrap()), all - dropped);
+    }
+
+    #[test]
+    fn a_patient_recorder_waits_for_the_disk_and_loses_nothing() {
+        let (recorder, key, bytes) = recorder(usize::MAX);
+        let mut recorder = recorder.patient();
+        let all = 4 * QUEUE as u64;
+        let writer = std::thread::spawn(move || {
+            record(&mut recorder, 0..all);
+            recorder.finish().unwrap()
+        });
+        key.send(()).unwrap();
+        assert_eq!(writer.join().unwrap(), 0);
+        assert_eq!(count(&bytes.recv().unwrap()), all);
+    }
+
+    #[test]
+    fn a_disk_that_refuses_is_told_at_the_end_and_holds_nobody_up() {
+        let (recorder, key, _bytes) = recorder(1 << 20);
+        let mut recorder = recorder.patient();
+        key.send(()).unwrap();
+        record(&mut recorder, 0..4 * QUEUE as u64);
+        assert!(recorder.dropped().load(Ordering::Relaxed) > 0);
+        assert!(recorder.finish().unwrap_err().to_string().contains("full"));
     }
 }

@@ -1,7 +1,7 @@
 //! Statistics of a run, tick by tick.
 
 use super::summary::{
-    Approach, Count, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Tensions, Times, TipError,
+    Approach, Count, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Swarm, Tensions, Times, TipError,
 };
 use crate::config::BodyModel;
 use crate::planner::{Branch, Goal};
@@ -25,6 +25,8 @@ pub struct Tick<'a> {
     pub curvature_error: Option<f64>,
     /// Branch, Newton iterations and whether they converged; none while the loop holds or starts.
     pub step: Option<(Branch, usize, bool)>,
+    /// Particles that the step's swarm evaluated; 0 where none searched or it is not known.
+    pub swarm_evaluations: usize,
     /// Planning time (us).
     pub plan_us: Option<f64>,
     /// Whole cycle (us).
@@ -50,6 +52,8 @@ pub struct Collector {
     quaternion: Option<f64>,
     curvature: Option<f64>,
     times: [Histogram<u64>; 4],
+    /// Particles evaluated, and planning time of the steps that searched (us).
+    swarm: (u64, f64),
     missed: Option<u64>,
     faults: Vec<String>,
 }
@@ -112,6 +116,7 @@ impl Collector {
             curvature: None,
             // Three digits; they grow as needed, so no bound has to be guessed.
             times: std::array::from_fn(|_| Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are valid"))),
+            swarm: (0, 0.0),
             missed: None,
             faults: Vec::new(),
         }
@@ -163,6 +168,10 @@ impl Collector {
             if let Some(us) = tick.plan_us {
                 record(&mut self.times[which], us);
             }
+        }
+        if tick.swarm_evaluations > 0 {
+            self.swarm.0 += tick.swarm_evaluations as u64;
+            self.swarm.1 += tick.plan_us.unwrap_or(0.0);
         }
         if let Some(us) = tick.cycle_us {
             record(&mut self.times[2], us);
@@ -242,6 +251,10 @@ impl Collector {
                 warning: percentiles(&self.times[1]),
                 cycle: percentiles(&self.times[2]),
             },
+            swarm: (self.swarm.0 > 0).then(|| Swarm {
+                evaluations: self.swarm.0,
+                evaluations_per_s: (self.swarm.1 > 0.0).then(|| 1e6 * self.swarm.0 as f64 / self.swarm.1),
+            }),
             loop_: self.missed.map(|missed| Loop { missed, wakeup_us: percentiles(&self.times[3]) }),
             faults: self.faults.clone(),
         }

@@ -36,6 +36,8 @@ pub struct Summary {
     pub curvature_error_final_1pm: Option<f64>,
     /// Computing times (us).
     pub time_us: Times,
+    /// Work of the particle swarm; null where none searched, and in closed loop, where the record does not tell.
+    pub swarm: Option<Swarm>,
     /// Loop statistics (closed loop only).
     #[serde(rename = "loop")]
     pub loop_: Option<Loop>,
@@ -140,6 +142,16 @@ pub struct Percentiles {
     pub p99: f64,
     /// Largest.
     pub max: f64,
+}
+
+/// Work of the particle swarm.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Swarm {
+    /// Particles evaluated.
+    pub evaluations: u64,
+    /// Per second of the steps that searched, all of their planning counted: the search alone is faster (`cargo bench
+    /// --bench cycle`). Null on a clock that stands still.
+    pub evaluations_per_s: Option<f64>,
 }
 
 /// Statistics of the periodic loop.

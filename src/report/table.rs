@@ -53,6 +53,10 @@ pub fn summary_table(s: &Summary) -> String {
     }
     row("time per step, safe (p50/p99/max)", time(s.time_us.safe));
     row("time per step, warning (p50/p99/max)", time(s.time_us.warning));
+    if let Some(swarm) = s.swarm {
+        let rate = swarm.evaluations_per_s.map_or("-".into(), |rate| format!("{:.2} million per second", rate / 1e6));
+        row("swarm evaluations", format!("{}, {rate} of the steps that searched", swarm.evaluations));
+    }
     if let Some(cycle) = s.time_us.cycle {
         row("whole cycle (p50/p99/max)", time(Some(cycle)));
     }

@@ -235,6 +235,7 @@ impl Run {
             tip_error: tip_error(&goal, &step.tip),
             curvature_error,
             step: Some((step.report.branch, step.report.iterations, converged)),
+            swarm_evaluations: step.report.evaluations,
             plan_us: Some(step.plan_ns as f64 / 1e3),
             cycle_us: None,
             wakeup_us: None,

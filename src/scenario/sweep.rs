@@ -105,6 +105,7 @@ pub fn sweep_table(rows: &[SweepRow]) -> String {
         "largest",
         "least distance at the points",
         "along the arm",
+        "evaluations per second",
     ]);
     for row in rows {
         let s = &row.summary;
@@ -123,6 +124,7 @@ pub fn sweep_table(rows: &[SweepRow]) -> String {
             ratio(row.cost_ratio_max),
             least(&|o| o.points.surface_distance_min_m),
             least(&|o| o.surface_distance_min_m),
+            s.swarm.and_then(|w| w.evaluations_per_s).map_or("-".into(), |rate| format!("{:.2} million", rate / 1e6)),
         ]);
     }
     table.to_string()

@@ -105,7 +105,7 @@ impl Estimator for Mirror {
         Ok(())
     }
 
-    fn update(&mut self, sent_n: &[f64], _: &[f64], _: &[bool]) -> Result<Estimate, EstimatorFailure> {
+    fn update(&mut self, sent_n: &[f64], _: &[f64]) -> Result<Estimate, EstimatorFailure> {
         self.stepper
             .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
             .map_err(|_| EstimatorFailure::Step)?;
@@ -155,6 +155,7 @@ impl Plan for Told {
             kkt_residual: 0.0,
             optimal: true,
             relaxed: false,
+            solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,
             cost: 0.0,

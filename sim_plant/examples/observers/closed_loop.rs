@@ -37,7 +37,7 @@ pub enum Case {
     Friction,
     /// The same with friction made up for in the commands.
     Compensated,
-    /// One tick of latency, compensated; no obstacles, with lead.
+    /// Latency (one tick unless told otherwise), compensated; no obstacles, with lead.
     Latency,
     /// Half of (44) held.
     Half,
@@ -53,6 +53,8 @@ pub struct Settings {
     pub lead: f64,
     pub open_loop: bool,
     pub compensation: f64,
+    /// Ticks of the row with latency.
+    pub latency: usize,
     pub duration: f64,
     pub short: f64,
     pub trace: Option<std::path::PathBuf>,
@@ -140,8 +142,8 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
             friction_config.coefficient = settings.compensation;
         }
         Case::Latency => {
-            plant.latency_ticks = 1;
-            observer_config.latency_ticks = 1;
+            plant.latency_ticks = settings.latency;
+            observer_config.latency_ticks = settings.latency;
         }
         _ => (),
     }

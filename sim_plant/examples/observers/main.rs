@@ -122,6 +122,9 @@ struct Arguments {
     /// Friction coefficient that the controller makes up for in the row `compensated`; the plant's is 0.1.
     #[arg(long, default_value_t = 0.1)]
     compensation: f64,
+    /// Ticks of latency of the row `latency`, compensated.
+    #[arg(long, default_value_t = 1)]
+    latency: usize,
     /// Runs at a time.
     #[arg(long, default_value_t = 2)]
     threads: usize,
@@ -165,6 +168,7 @@ impl Arguments {
             disturbance_time,
             rate_max: self.rate_max,
             compensation: self.compensation,
+            latency: self.latency,
             trace: self.trace.clone(),
         }
     }

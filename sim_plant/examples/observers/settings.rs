@@ -42,6 +42,8 @@ pub struct Choice {
     pub open_loop: bool,
     /// Friction coefficient that is made up for where a row asks for it.
     pub compensation: f64,
+    /// Ticks of the row with latency.
+    pub latency: usize,
     pub trace: Option<std::path::PathBuf>,
 }
 
@@ -67,6 +69,7 @@ impl Default for Choice {
             rate_max: None,
             open_loop: false,
             compensation: 0.1,
+            latency: 1,
             trace: None,
         }
     }
@@ -122,6 +125,7 @@ impl Choice {
             lead,
             open_loop: self.open_loop,
             compensation: self.compensation,
+            latency: self.latency,
             duration: self.duration,
             short: self.short,
             trace: self.trace.clone(),

@@ -74,7 +74,10 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
         } else {
             row("capstan friction mu = 0.1, no lead: tip error mean / max".into(), pair(Case::Friction));
             row(format!("same, made up for with mu = {}", arguments.compensation), pair(Case::Compensated));
-            row("one tick of latency, compensated: tip error mean / max".into(), pair(Case::Latency));
+            row(
+                format!("{} of latency, compensated: tip error mean / max", ticks(arguments.latency)),
+                pair(Case::Latency),
+            );
         }
         row(
             "half of (44) held, curvature error".into(),
@@ -99,4 +102,8 @@ pub fn print(arguments: &Arguments, done: &[(Kind, Case, u64, Outcome)]) {
         planner = planner.max(d.3.planner_time[0]);
     }
     println!("time per tick, largest mean of a run: observer {observer:.1?}, planner {planner:.1?}");
+}
+
+fn ticks(count: usize) -> String {
+    if count == 1 { "one tick".into() } else { format!("{count} ticks") }
 }

@@ -338,6 +338,7 @@ impl Judge {
             tip_error: tip_error(&goal, &tip),
             curvature_error,
             step,
+            swarm_evaluations: 0,
             plan_us: record.and_then(|r| us(r.plan_ns)),
             cycle_us: record.and_then(|r| us(r.cycle_ns)),
             wakeup_us: record.filter(|_| !lockstep).and_then(|r| us(r.wakeup_ns)),

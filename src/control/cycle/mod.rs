@@ -3,6 +3,7 @@
 //! [`Cycle::tick`] is everything that must happen before the tensions are sent; [`Cycle::report`] completes the record
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
+mod plan;
 mod report;
 
 use super::budget::{Phase, StopWatch};
@@ -17,13 +18,14 @@ use super::settings::{Settings, seconds_to_ns};
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
-use super::target::{Target, TargetInput, lag_s};
+use super::target::{TargetInput, lag_s};
 use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
 use crate::model::{Arm, State};
-use crate::planner::{Deadline, Goal, Inputs, Planner, Report, Status};
+use crate::planner::{Deadline, Inputs, Planner, Report};
 use nalgebra::{Vector3, Vector4};
+use plan::Wanted;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// What the cycle needs of a planner, so that a test can put a broken one in its place.
@@ -124,7 +126,6 @@ pub struct Cycle<E, P = Planner> {
     last_was_tip: bool,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
-    measured: Vec<bool>,
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -198,7 +199,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             last_was_tip: false,
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
-            measured: vec![false; cables],
             safe: vec![settings.safe_tension_n(); cables],
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -323,9 +323,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             // A bridged length counts as read: it keeps its cable's innovation as it was. Left out, the other cables of the
             // segment would have to tell its bend, and their lengths' own errors give another one: each lost reading
             // would kick the estimate (at a loss of 1 % it never settled). The gap ends with `encoder_silent_s`.
-            let lengths_m = self.encoders.lengths_m();
-            self.measured.iter_mut().zip(lengths_m).for_each(|(m, length)| *m = length.is_finite());
-            match self.estimator.update(&self.applied, lengths_m, &self.measured) {
+            match self.estimator.update(&self.applied, self.encoders.lengths_m()) {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
@@ -482,75 +480,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         Some(self.plan(inputs, &target, limits, rng, deadline))
     }
 
-    /// The target at the end of lookahead and lead.
-    fn wanted(&self, inputs: &TickInputs<'_>) -> Option<Wanted> {
-        let target = inputs.target?;
-        let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s(target.now.is_tip())));
-        Some(match ahead {
-            Target::Tip { position_m, quaternion, .. } => {
-                Wanted::Tip { position: position_m, quaternion: quaternion.normalize(), weight: target.weight }
-            }
-            Target::Shape { curvatures_1pm, .. } => Wanted::Shape { curvatures: curvatures_1pm, weight: target.weight },
-        })
-    }
-
-    fn plan(
-        &mut self,
-        inputs: &TickInputs<'_>,
-        wanted: &Wanted,
-        limits: &mut Limits,
-        rng: &mut Xoshiro256PlusPlus,
-        deadline: &mut impl StopWatch,
-    ) -> Report {
-        let weights = &self.settings.weights;
-        let (planner, goal) = match wanted {
-            Wanted::Tip { position, quaternion, weight } => {
-                let w = &weights.tip;
-                let pose = given_or(*weight, w.pose);
-                // In proportion, so that the lag of the motion stays the one that the lead is made for.
-                let rate = w.rate * (pose / w.pose);
-                let (position, quaternion) = (*position, *quaternion);
-                let goal = Goal::Tip { position, quaternion, pose, rate, damping: w.damping };
-                (&mut self.tip_planner, goal)
-            }
-            Wanted::Shape { curvatures, weight } => {
-                let weight = given_or(*weight, weights.shape.curvature);
-                let curvatures = &curvatures[..2 * self.arm.segment_count()];
-                (&mut self.shape_planner, Goal::Shape { curvatures, weight })
-            }
-        };
-        let report = planner.plan(
-            &Inputs {
-                state: self.estimator.predicted(),
-                u_previous: &self.sent,
-                disturbance: self.estimator.disturbance_n(),
-                goal,
-                now: inputs.obstacles.now(),
-                ahead: inputs.obstacles.ahead(),
-            },
-            rng,
-            deadline,
-        );
-        if report.status == Status::Singular {
-            self.singular_in_row += 1;
-            limits.insert(Limit::PlanSingular);
-            self.proposed.copy_from_slice(&self.sent);
-        } else {
-            self.singular_in_row = 0;
-            self.proposed.copy_from_slice(planner.tensions());
-            if let Some(planned) = planner.planned() {
-                self.friction.update(&self.arm, self.estimator.predicted(), planned);
-            }
-        }
-        if report.status == Status::BudgetSpent {
-            limits.insert(Limit::BudgetSpent);
-        }
-        if report.relaxed {
-            limits.insert(Limit::Relaxed);
-        }
-        report
-    }
-
     /// The guard: moves what may leave to `sent`.
     fn check(&mut self, decision: &Decision, limits: &mut Limits) -> Option<Fault> {
         if decision.action == Action::Off {
@@ -608,15 +537,4 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     pub const fn record_mut(&mut self) -> &mut Record {
         &mut self.record
     }
-}
-
-/// What a plan is made for; a weight of 0 is the configured one.
-enum Wanted {
-    Tip { position: Vector3<f64>, quaternion: Vector4<f64>, weight: f64 },
-    Shape { curvatures: [f64; CURVATURES_MAX], weight: f64 },
-}
-
-/// A target's weight, or the configured one where the target has none.
-fn given_or(weight: f64, configured: f64) -> f64 {
-    if weight > 0.0 { weight } else { configured }
 }

@@ -3,27 +3,27 @@
 //! Per iteration: linearise the step at the iterate, reduce (15) to a quadratic of the tensions, decide between safe
 //! and warning subspace (17), solve there, move the iterate. Dynamics and optimisation converge together.
 
+mod guess;
+mod pairs;
+
 use super::complementarity::{self, Problem, Solver};
 use super::deadline::{Deadline, Shares};
 use super::problem::{Goal, Quadratic, tension_cost};
 use super::swarm::{Pairs, Swarm, Variant};
-use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity, WarningState, penalty, required_distance};
+use crate::collision::{Body, BodyGeometry, ObstacleSet, WarningState, penalty};
 use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
 use crate::integrator::{AffineMap, Scheme, Stepper};
 use crate::math::block_tridiagonal::{BLOCK, Singular};
-use crate::math::quaternion::rotation_jacobians;
-use crate::math::simd::add_four;
 use crate::model::{Arm, Motion, State};
+use guess::Guess;
 use nalgebra::Vector3;
-use pulp::{Arch, Simd, WithSimd};
+use pairs::PairBuffers;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Most pairs of body and obstacle that one step plans with; the nearest are kept.
 pub const PAIRS_MAX: usize = 256;
 /// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
 const REACH_M: f64 = 0.05;
-/// A pair whose linearised distance stays above the required one by this for all tensions inside the box is left out (m).
-const UNREACHED_M: f64 = 1e-9;
 
 /// What one planning step works from.
 #[derive(Debug, Clone, Copy)]
@@ -87,6 +87,8 @@ pub struct Report {
     pub optimal: bool,
     /// True where the distance rows had no common solution and were relaxed.
     pub relaxed: bool,
+    /// Newton iterations of the complementarity problems of the whole step.
+    pub solver_iterations: usize,
     /// Swarm sweeps of the whole step.
     pub sweeps: usize,
     /// Swarm evaluations of the whole step.
@@ -136,6 +138,7 @@ pub struct Planner {
     tangent: Vec<f64>,
     tangent_known: Vec<bool>,
     pairs: PairBuffers,
+    guess: Guess,
     scratch: Vec<f64>,
 }
 
@@ -143,17 +146,6 @@ pub struct Planner {
 struct Frames {
     r: Vec<Vector3<f64>>,
     t: Vec<Vector3<f64>>,
-}
-
-#[derive(Debug)]
-struct PairBuffers {
-    rows: Vec<Proximity>,
-    required: Vec<f64>,
-    length: Vec<f64>,
-    origin: Vec<f64>,
-    slope: Vec<f64>,
-    c: Vec<f64>,
-    d: Vec<f64>,
 }
 
 impl Planner {
@@ -197,15 +189,8 @@ impl Planner {
             tangent_origin: vec![Vector3::zeros(); n + 1],
             tangent: vec![0.0; 3 * (n + 1) * nc],
             tangent_known: vec![false; n + 1],
-            pairs: PairBuffers {
-                rows: Vec::with_capacity(PAIRS_MAX),
-                required: Vec::with_capacity(PAIRS_MAX),
-                length: Vec::with_capacity(PAIRS_MAX),
-                origin: vec![0.0; 3 * PAIRS_MAX],
-                slope: vec![0.0; 3 * PAIRS_MAX * nc],
-                c: vec![0.0; PAIRS_MAX * nc],
-                d: vec![0.0; PAIRS_MAX],
-            },
+            pairs: PairBuffers::new(nc),
+            guess: Guess::new(),
             scratch: vec![0.0; 4 * arm.segment_count()],
             arm,
         }
@@ -231,20 +216,29 @@ impl Planner {
         self.config.warning = branch;
     }
 
+    /// Forgets what earlier steps left: the next one is planned from cold. Does not allocate.
+    pub fn forget(&mut self) {
+        self.guess.forget();
+        self.warning = WarningState::from_config(&self.config);
+    }
+
     /// The body that distances are measured from.
     pub fn body_mut(&mut self) -> &mut Body {
         &mut self.body
     }
 
-    /// How much better the last swarm's answer is than the best of its seeds in the cost (28): never below zero but for
-    /// rounding. `None` where the last plan's last iteration searched with no swarm. `obstacles` is the set that the plan had
-    /// ahead. An evaluation of its own, plain and slow, for benches and tests. Does not allocate.
+    /// How much better the last swarm's answer is than the best of its seeds in the cost (28): never below zero. `None`
+    /// where the last plan's last iteration searched with no swarm. `obstacles` is the set that the plan had ahead. An
+    /// evaluation of its own, plain and slow, for benches and tests. Does not allocate.
     pub fn seed_margin(&self, obstacles: &ObstacleSet) -> Option<f64> {
         let seeds = [&self.previous, &self.iterate, &self.candidate];
         let best = seeds[..self.seeds].iter().map(|u| self.swarm_cost(u, obstacles)).fold(f64::INFINITY, f64::min);
         let answer = self.swarm_cost(self.swarm.answer(), obstacles);
+        // Near a target both are small differences of terms as large as the cost at no tension: rounding is no margin.
+        let rounding = 1e-12 * self.quadratic.c.abs();
         // Where no seed has a finite cost, any answer will do.
-        (self.seeds > 0).then(|| if best.is_finite() { best - answer } else { 0.0 })
+        let equal = !best.is_finite() || (best - answer).abs() <= rounding;
+        (self.seeds > 0).then_some(if equal { 0.0 } else { best - answer })
     }
 
     /// Cost (28) of tensions in the last swarm's problem.
@@ -292,6 +286,7 @@ impl Planner {
             kkt_residual: 0.0,
             optimal: false,
             relaxed: false,
+            solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,
             cost: f64::NAN,
@@ -368,6 +363,7 @@ impl Planner {
         if report.status == Status::Singular {
             // Nothing that was computed can be trusted: hold what is known to be bounded.
             self.u.copy_from_slice(&self.previous);
+            self.guess.forget();
         }
         self.scheme.finish(inputs.state, &mut next);
         report.cost = inputs.goal.error_cost(&self.arm, &next, &mut self.scratch)
@@ -427,6 +423,8 @@ impl Planner {
         let problem =
             Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
         let solved = self.solver.solve(&problem, &mut self.u, stop);
+        self.guess.forget();
+        report.solver_iterations += solved.iterations;
         report.kkt_residual = solved.kkt_residual;
         report.optimal = solved.status == complementarity::Status::Optimal;
     }
@@ -455,7 +453,10 @@ impl Planner {
                 c: &self.pairs.c[..rows * nc],
                 d: &self.pairs.d[..rows],
             };
-            let solved = self.solver.solve(&problem, &mut self.candidate, stop);
+            self.guess.guess_into(&self.pairs.rows, inputs.ahead, &mut self.pairs.multiplier);
+            let solved = self.solver.solve_warm(&problem, &self.pairs.multiplier[..rows], &mut self.candidate, stop);
+            self.guess.keep(&self.pairs.rows, inputs.ahead, self.solver.multipliers(), solved.status);
+            report.solver_iterations += solved.iterations;
             report.optimal = solved.status.is_optimal();
             report.kkt_residual = solved.kkt_residual;
             report.relaxed = solved.status == complementarity::Status::Relaxed;
@@ -511,102 +512,4 @@ impl Planner {
             self.u.copy_from_slice(self.swarm.answer());
         }
     }
-
-    /// Positions of the pairs' body points and their distances as affine functions of the tensions; drops the pairs
-    /// that no tensions inside the box can bring below their required distance.
-    fn linearize_pairs(&mut self, next: &State, inputs: &Inputs<'_>) {
-        let nc = self.u.len();
-        self.tangent_known.fill(false);
-        self.pairs.required.clear();
-        self.pairs.length.clear();
-        let mut kept = 0;
-        for k in 0..self.pairs.rows.len() {
-            let row = self.pairs.rows[k];
-            let now = row.point.combine(&self.frames_now.r, &self.frames_now.t);
-            let d_now = inputs.now.as_slice()[row.obstacle].distance(&now).0 - row.inflation;
-            let required = required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref());
-            let i = row.point.element;
-            for node in [i, i + 1] {
-                self.tangent_slope(next, node);
-            }
-            let slope = &mut self.pairs.slope[3 * kept * nc..3 * (kept + 1) * nc];
-            slope.fill(0.0);
-            let mut origin = row.position;
-            let w = row.point.weights;
-            // The base does not move.
-            let first = usize::from(i == 0) * 2;
-            for c in 0..3 {
-                let position = |node: usize| BLOCK * (node.max(1) - 1) + c;
-                let tangent = |node: usize| (3 * node + c) * nc..(3 * node + c + 1) * nc;
-                let rows: [&[f64]; 4] = [
-                    self.map.row(position(i)),
-                    &self.tangent[tangent(i)],
-                    self.map.row(position(i + 1)),
-                    &self.tangent[tangent(i + 1)],
-                ];
-                let constants = [
-                    self.map.x0[position(i)],
-                    self.tangent_origin[i][c],
-                    self.map.x0[position(i + 1)],
-                    self.tangent_origin[i + 1][c],
-                ];
-                let mut f = w;
-                f[..first].fill(0.0);
-                origin[c] += f.iter().zip(constants).map(|(f, x)| f * x).sum::<f64>();
-                let slope = &mut slope[c * nc..(c + 1) * nc];
-                combine_four(f, rows, slope);
-                // The swarm and the rows see the commanded tensions; what acts beside them moves the origin.
-                origin[c] += slope.iter().zip(inputs.disturbance).map(|(s, w)| s * w).sum::<f64>();
-            }
-            let n = row.normal;
-            let d = row.distance + n.dot(&(origin - row.position)) - required;
-            let c = &mut self.pairs.c[kept * nc..(kept + 1) * nc];
-            let mut least = d;
-            for (j, c) in c.iter_mut().enumerate() {
-                *c = n[0] * slope[j] + n[1] * slope[nc + j] + n[2] * slope[2 * nc + j];
-                least += (*c * self.low[j]).min(*c * self.high[j]);
-            }
-            // The distance to a convex obstacle is nowhere below its linearisation: this pair cannot matter.
-            if least > UNREACHED_M {
-                continue;
-            }
-            self.pairs.origin[3 * kept..3 * kept + 3].copy_from_slice(origin.as_slice());
-            self.pairs.d[kept] = d;
-            self.pairs.required.push(required);
-            self.pairs.length.push(inputs.ahead.as_slice()[row.obstacle].penalty_length());
-            self.pairs.rows[kept] = row;
-            kept += 1;
-        }
-        self.pairs.rows.truncate(kept);
-    }
-
-    /// A node's tangent as an affine function of the tensions, made once per node and iteration.
-    fn tangent_slope(&mut self, next: &State, node: usize) {
-        let nc = self.u.len();
-        if std::mem::replace(&mut self.tangent_known[node], true) || node == 0 {
-            return;
-        }
-        let jacobian = rotation_jacobians(&self.arm.pose(&next.q, node).1)[0];
-        let at = BLOCK * (node - 1) + 3;
-        for c in 0..3 {
-            let f: [f64; 4] = std::array::from_fn(|p| jacobian[(c, p)]);
-            self.tangent_origin[node][c] = (0..4).map(|p| f[p] * self.map.x0[at + p]).sum();
-            let out = &mut self.tangent[(3 * node + c) * nc..(3 * node + c + 1) * nc];
-            out.fill(0.0);
-            combine_four(f, std::array::from_fn(|p| self.map.row(at + p)), out);
-        }
-    }
-}
-
-/// `y += sum f_k x_k`.
-fn combine_four(f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
-    struct Four<'a>([f64; 4], [&'a [f64]; 4], &'a mut [f64]);
-    impl WithSimd for Four<'_> {
-        type Output = ();
-        #[inline(always)]
-        fn with_simd<S: Simd>(self, simd: S) {
-            add_four(simd, self.0, self.1, self.2);
-        }
-    }
-    Arch::new().dispatch(Four(f, x, y));
 }
