@@ -347,8 +347,12 @@ fn friction_is_added_to_the_command_and_the_motion_stays_the_planned_one() {
     // Pulled in and paying out, by no more than the capstan takes over the whole bend.
     assert!(ratios().all(|r| (0.9..1.1).contains(&r)), "{:?}", ratios().collect::<Vec<_>>());
     assert!(ratios().any(|r| r > 1.002) && ratios().any(|r| r < 0.998), "{:?}", ratios().collect::<Vec<_>>());
-    // A stop is a matter of the safe tension itself: nothing is added to it.
+    // A stop is a matter of the safe tension itself: nothing is added to it, and it begins at what the drums pull.
     rig.ask(Request::Stop);
+    let share = PERIOD_S / settings().timing.ramp_s;
+    for (before, after) in commanded.iter().zip(rig.cycle.tensions_n()) {
+        assert!((after - (1.0 - share) * before).abs() < 1e-9 * before.max(1.0), "{before} to {after} N");
+    }
     rig.run(300);
     assert_eq!(rig.cycle.mode(), Mode::Disarmed);
     assert!(rig.cycle.tensions_n().iter().all(|u| *u == 0.0));

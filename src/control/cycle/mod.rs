@@ -440,18 +440,19 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 self.proposed.fill(0.0);
                 return None;
             }
+            // From what the drums pull: friction is no longer made up for.
             Action::Keep => {
-                self.proposed.copy_from_slice(&self.sent);
+                self.proposed.copy_from_slice(&self.commanded);
                 return None;
             }
             Action::Ramp => {
-                self.ramp.begin(&self.sent, begin_ns);
+                self.ramp.begin(&self.commanded, begin_ns);
                 self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
                 return None;
             }
             Action::Tighten => {
                 if inputs.drives.phase == DrivesPhase::Enabled {
-                    self.ramp.begin(&self.sent, begin_ns);
+                    self.ramp.begin(&self.commanded, begin_ns);
                     self.ramp.tensions_into(&self.settings.start_tensions_n, inputs.now_ns, &mut self.proposed);
                 } else {
                     self.ramp.end();
@@ -505,10 +506,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         })
     }
 
-    /// One tick of the ramp to the safe tension, from what was sent last.
+    /// One tick of the ramp to the safe tension, from what the drums were told last.
     fn ramp_down(&mut self, inputs: &TickInputs<'_>) {
         self.ramp.end();
-        self.ramp.begin(&self.sent, inputs.now_ns.saturating_sub(self.period_ns));
+        self.ramp.begin(&self.commanded, inputs.now_ns.saturating_sub(self.period_ns));
         self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
         self.friction.rest();
         self.send(Floor::Zero);
