@@ -28,6 +28,10 @@ def run_main(main):
         sys.exit(f"{os.path.basename(sys.argv[0])}: FAILED: {failure}")
 
 
+# Of [drives]: an emulated processor that others use as well may take longer than the shipped 0.1 s for an answer.
+SLOW_START = "sdo_timeout_s = 2.0"
+
+
 def configuration(folder, drives, changes):
     """The shipped files with keys changed ({file: {key: value}}), `drives` being that of the buses; the paths."""
     paths = []
@@ -37,6 +41,9 @@ def configuration(folder, drives, changes):
         for key, value in changes.get(name, {}).items():
             text, count = re.subn(rf"(?m)^#? *{key} = .*$", f"{key} = {value}", text)
             require(count == 1, f"config/{name} has {count} lines with `{key}`")
+        if name == drives:
+            text, count = re.subn(r"(?m)^\[drives\]$", f"[drives]\n{SLOW_START}", text)
+            require(count == 1, f"config/{name} has {count} tables [drives]")
         paths.append(os.path.join(folder, name))
         with open(paths[-1], "w", encoding="utf-8") as file:
             file.write(text)
