@@ -356,9 +356,9 @@ impl<B: CanBus> FaultShim<B> {
     }
 
     /// Counts the frames of this identifier that come in, before anything is done to them: a simulation whose time goes
-    /// by a frame needs to know of it although the simulated nodes do not get it. A receive returns with nothing as
-    /// soon as one came; what it left behind is [`Self::next_ready`]. Frames that are held by time then go on just before a watched one comes in, and
-    /// out with [`Self::send_due`]: who waits for whom no longer decides their place.
+    /// by a frame needs to know of it although the simulated nodes do not get it. A receive returns with nothing as soon
+    /// as one came; what it left behind is [`Self::next_ready`]. Frames that are held by time then go on just before a
+    /// watched one comes in, and out with [`Self::send_due`]: who waits for whom no longer decides their place.
     pub fn watch(&mut self, id: Id) {
         self.watched = Some(id);
         self.incoming.gated = true;

@@ -1,10 +1,11 @@
 //! The truth, tick by tick, in the recordings' own schema, so that whatever reads a recording reads this too.
 //!
-//! Enters: the rig. Leaves: `State` records in an MCAP file, which a thread of its own writes. In real time a disk that does
-//! not keep up costs records, which are counted, and never a step; in lockstep the plant waits for it, and nothing is
-//! lost. Fields that only a controller knows stay at their defaults. In a record `header.tick` is the number of SYNCs served, `header.capture_ns` the plant's time (CLOCK_MONOTONIC, or in lockstep the
-//! number of SYNCs times the period), `tension_command_n` what the drums were told, `tension_measured_n` what the cables
-//! have at their drives, `cable_length_m` the true lengths, and pose, curvatures and nodes are the true arm's.
+//! Enters: the rig. Leaves: `State` records in an MCAP file, which a thread of its own writes. In real time a disk that
+//! does not keep up costs records, which are counted, and never a step; in lockstep the plant waits for it, and nothing is
+//! lost. Fields that only a controller knows stay at their defaults. In a record `header.tick` is the number of SYNCs
+//! served, `header.capture_ns` the plant's time (CLOCK_MONOTONIC, or in lockstep the number of SYNCs times the period),
+//! `tension_command_n` what the drums were told, `tension_measured_n` what the cables have at their drives,
+//! `cable_length_m` the true lengths, and pose, curvatures and nodes are the true arm's.
 
 use crate::config::Pace;
 use crate::rig::Rig;

@@ -9,8 +9,8 @@
 //! * [`pdo`]: communication parameters and mappings, with the procedure of CiA 301 for changing them;
 //! * [`machine`]: the drive itself, its SDO access and its PDO traffic; [`bank`]: many drives on one bus handle.
 //!
-//! Protection: on loss of a consumed heartbeat, or of SYNC while torque is on, the torque goes to the declared safe
-//! value (2000:02) with the declared slope (6087), an emergency object is sent, and the fault stays latched until it is
+//! Protection: on loss of a consumed heartbeat, or of SYNC or RPDOs while torque is on, the torque goes to the declared
+//! safe value (2000:02) with the declared slope (6087), an emergency object is sent, and the fault stays latched until it is
 //! reset by the controlword with its cause gone. Departure from CiA 402, which cuts the power stage in the state
 //! "fault": after a communication fault the safe torque is still applied there, so that an arm can keep a pretension;
 //! at its default of 0 the two are the same.

@@ -94,7 +94,7 @@ pub(super) struct Slot {
     pub(super) since_ns: u64,
     pub(super) heartbeat_ns: Option<u64>,
     pub(super) heartbeat_lost: bool,
-    /// State wanted next, with the cycle at which it was first commanded.
+    /// State wanted next.
     pub(super) wanted: Option<State>,
     /// Transitions were given up until the goal is set anew.
     pub(super) stuck: bool,
