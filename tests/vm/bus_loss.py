@@ -132,8 +132,7 @@ def main():
         time.sleep(3 * (HEARTBEAT_TIMEOUT_S + SAFE_RAMP_S))
 
         link(interface, "up")
-        sinew.until("the bus back", lambda r: r["buses"][0]["state"] == "ErrorActive", both)
-        report = sinew.status()
+        report = sinew.until("the bus back", lambda r: r["buses"][0]["state"] == "ErrorActive", both)
         arm.require(report["mode"] == "faulted" and report["fault"], f"the fault went by itself: {report['mode']}")
         arm.require(not sinew.ask("arm"), "armed with a latched fault")
         while not sinew.ask("clear"):
