@@ -156,9 +156,15 @@ impl Drop for Running {
     }
 }
 
-fn terminate(process: &Running) {
+/// Asks a process to end, and waits until it has: killed while it cleans up, it would leave its files.
+fn terminate(mut process: Running) {
     let status = Command::new("kill").args(["-TERM", &process.0.id().to_string()]).status().unwrap();
     assert!(status.success());
+    let deadline = Instant::now() + WAIT;
+    while process.0.try_wait().unwrap().is_none() {
+        assert!(Instant::now() < deadline, "it does not end");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 fn spawn_rust_client(domain: &Domain, source: u32, rate: f64) -> Running {
@@ -367,7 +373,7 @@ fn a_client_that_ends_in_order_is_not_missed() {
     let mut daemon = Daemon::start(&isolated.domain, Pace::default());
     let client = spawn_rust_client(&isolated.domain, 7, 200.0);
     daemon.until("the client", |i| Daemon::sources(i) == [7]);
-    terminate(&client);
+    terminate(client);
     daemon.until("its farewell", |i| Daemon::sources(i).is_empty());
     daemon.stop();
 }
@@ -484,7 +490,7 @@ fn rust_and_python_feed_a_daemon_at_the_same_time() {
     let [x, y, _] = ball.position_m;
     assert!(((x - 0.40).hypot(y + 0.15) - 0.32).abs() < 1e-3);
     // Python leaves in order too.
-    terminate(&python);
+    terminate(python);
     daemon.until("the farewell of Python", |i| Daemon::sources(i) == [1]);
     drop(rust);
     daemon.stop();
