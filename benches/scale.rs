@@ -19,7 +19,7 @@ use plot::Line;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::collision::ObstacleSet;
-use sinew::config::{ArmConfig, BodyModel, WarningBranch};
+use sinew::config::{ArmConfig, BodyModel, Config, WarningBranch};
 use sinew::estimator::Observer;
 use sinew::integrator::{AffineMap, Scheme, Stepper};
 use sinew::model::{Arm, Motion, State};
@@ -81,19 +81,13 @@ fn parts(config: &ArmConfig) -> [f64; 5] {
     let panel = time(|| stepper.affine_map_into(black_box(&mut map)));
     let mut lengths = vec![0.0; arm.cable_count()];
     arm.cable_lengths_into(&state.q, &mut lengths);
-    let mut observer = Observer::new(config, &observer_settings(), 0.01);
+    let mut observer = Observer::new(config, &Config::builtin().observer, 0.01);
     observer.resume(&state);
     let observe = time(|| {
         black_box(observer.update(&u, &lengths, &[]));
     });
     let plan = plan_time(config, &state, &u, &ObstacleSet::new());
     [assembly, factor, panel, observe, plan]
-}
-
-fn observer_settings() -> sinew::config::ObserverConfig {
-    let file = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("config").join(name);
-    let files = [file("arm.toml"), file("controller.toml"), file("drives.toml")];
-    sinew::config::Config::load(&files).unwrap().observer
 }
 
 fn plan_time(config: &ArmConfig, state: &State, u: &[f64], obstacles: &ObstacleSet) -> f64 {

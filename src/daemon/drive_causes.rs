@@ -5,7 +5,7 @@
 
 use sinew_hal::cia402::Fault;
 
-/// Causes that the master names and that have no emergency code; emergency codes are 0x1000 and above.
+/// The master's own, each at its number.
 const CAUSES: [&str; 9] = [
     "fault without an emergency object",
     "not usable: configuration failed",
@@ -28,19 +28,24 @@ pub fn cause_text(cause: u32) -> String {
 
 pub(super) const NO_EMERGENCY: u32 = 0;
 pub(super) const NOT_USABLE: u32 = 1;
+const NO_BOOT_UP: u32 = 2;
+const WRONG_NMT_STATE: u32 = 3;
+const RESTARTED: u32 = 4;
 pub(super) const HEARTBEAT_LOST: u32 = 5;
+const NO_TRANSITION: u32 = 6;
 pub(super) const NO_FEEDBACK: u32 = 7;
+const LEFT_OPERATION: u32 = 8;
 
 pub(super) fn cause_of(fault: &Fault) -> u32 {
     match fault {
         Fault::Value { .. } | Fault::Length { .. } | Fault::Sdo { .. } => NOT_USABLE,
-        Fault::NoBootUp { .. } => 2,
-        Fault::Nmt { .. } => 3,
-        Fault::Rebooted => 4,
+        Fault::NoBootUp { .. } => NO_BOOT_UP,
+        Fault::Nmt { .. } => WRONG_NMT_STATE,
+        Fault::Rebooted => RESTARTED,
         Fault::HeartbeatLost { .. } => HEARTBEAT_LOST,
-        Fault::Transition { .. } => 6,
+        Fault::Transition { .. } => NO_TRANSITION,
         Fault::NoFeedback { .. } => NO_FEEDBACK,
-        Fault::LeftOperation { .. } => 8,
+        Fault::LeftOperation { .. } => LEFT_OPERATION,
         Fault::Emergency(e) => u32::from(e.code),
     }
 }

@@ -118,6 +118,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
     #[test]
     fn the_warm_up_walks_every_mode_without_a_fault() {
         let config = Config::builtin();
