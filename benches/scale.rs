@@ -84,7 +84,7 @@ fn parts(config: &ArmConfig) -> [f64; 5] {
     let mut observer = Observer::new(config, &Config::builtin().observer, 0.01);
     observer.resume(&state);
     let observe = time(|| {
-        black_box(observer.update(&u, &lengths, &[]));
+        black_box(observer.update(&u, &lengths));
     });
     let plan = plan_time(config, &state, &u, &ObstacleSet::new());
     [assembly, factor, panel, observe, plan]

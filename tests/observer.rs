@@ -66,7 +66,7 @@ fn an_update_solves_the_implicit_equations_with_their_correction_for_both_routin
         let arm = observer.arm().clone();
         let u = tensions(&arm);
         let mut measured = lengths(&arm, &rest(&arm, &u).q);
-        observer.start(&measured, &[], &u).unwrap();
+        observer.start(&measured, &u).unwrap();
         measured.iter_mut().enumerate().for_each(|(c, l)| *l += 1e-3 * (c as f64).cos());
 
         let space = CableSpace::new(&arm);
@@ -74,7 +74,7 @@ fn an_update_solves_the_implicit_equations_with_their_correction_for_both_routin
         let mut y = vec![0.0; n];
         for _ in 0..3 {
             let (beta, before) = (observer.disturbance_moments().to_vec(), observer.state().clone());
-            let update = observer.update(&u, &measured, &[]);
+            let update = observer.update(&u, &measured);
             assert!(!update.failed);
             let state = observer.state();
             let (l, mut z) = (lengths(&arm, &state.q), vec![0.0; n]);
@@ -117,7 +117,7 @@ fn the_low_rank_correction_equals_a_dense_solve_of_the_corrected_tangent() {
     let arm = observer.arm().clone();
     let u = tensions(&arm);
     let start = lengths(&arm, &rest(&arm, &u).q);
-    observer.start(&start, &[], &u).unwrap();
+    observer.start(&start, &u).unwrap();
     let state = observer.state().clone();
     let space = CableSpace::new(&arm);
     let (n, nc) = (space.angle_count(), arm.cable_count());
@@ -163,7 +163,7 @@ fn the_low_rank_correction_equals_a_dense_solve_of_the_corrected_tangent() {
     dense += &v * DMatrix::from_diagonal(&DVector::from_vec(gain)) * v.transpose();
     let f = DVector::from_column_slice(&stepper.linearization.f);
     let want = dense.lu().solve(&(&b * DVector::from_vec(acting) - f)).unwrap();
-    observer.update(&u, &measured, &[]);
+    observer.update(&u, &measured);
     let scale = (0..size).filter(|r| r % 11 < 7).fold(0.0f64, |a, r| a.max(want[r].abs()));
     assert!(scale > 1e-9);
     for node in 0..arm.node_count() {
@@ -188,7 +188,7 @@ fn the_energy_of_an_estimates_error_does_not_grow() {
     let arm = observer.arm().clone();
     let u = vec![0.0; arm.cable_count()];
     let bent = arm.bent(&[1e-3, 0.0, 0.0, -2e-3, 1e-3, 1e-3, -1e-3, 2e-3]);
-    observer.start(&lengths(&arm, &bent), &[], &u).unwrap();
+    observer.start(&lengths(&arm, &bent), &u).unwrap();
     let straight = lengths(&arm, &arm.straight());
     // The moments that held the bend go with it: a start in the straight shape would leave nothing to decay.
     let mut y = [0.0; 8];
@@ -199,7 +199,7 @@ fn the_energy_of_an_estimates_error_does_not_grow() {
     observer.resume(&state);
     let mut energies = Vec::new();
     for _ in 0..2000 {
-        let update = observer.update(&u, &straight, &[]);
+        let update = observer.update(&u, &straight);
         assert!(!update.failed);
         let (s, z) = (observer.state(), observer.innovation());
         let mut energy = arm.kinetic_energy(&s.q, &s.qd) + arm.elastic_energy(&s.q);
@@ -227,10 +227,10 @@ fn a_start_reproduces_the_measured_bend_angles_and_is_an_equilibrium() {
     other.segments.iter_mut().for_each(|s| s.bending_stiffness_nm2 *= 0.9);
     let other = Arm::new(&other);
     let truth = rest(&other, &u);
-    observer.start(&lengths(&other, &truth.q), &[], &u).unwrap();
+    observer.start(&lengths(&other, &truth.q), &u).unwrap();
     let measured = lengths(&other, &truth.q);
     for _ in 0..10 {
-        let update = observer.update(&u, &measured, &[]);
+        let update = observer.update(&u, &measured);
         assert!(update.innovation_max < 1e-8, "{update:?}");
         assert!(update.rate_max < 1e-6, "{update:?}");
     }
@@ -247,11 +247,11 @@ fn at_rest_the_mean_curvatures_become_exact_after_a_wrong_start() {
     other.segments.iter_mut().for_each(|s| s.bending_stiffness_nm2 *= 0.95);
     let other = Arm::new(&other);
     let truth = rest(&other, &u);
-    observer.start(&lengths(&arm, &arm.straight()), &[], &u).unwrap();
+    observer.start(&lengths(&arm, &arm.straight()), &u).unwrap();
     let measured = lengths(&other, &truth.q);
     let mut settled = false;
     for _ in 0..6000 {
-        settled = observer.update(&u, &measured, &[]).settled;
+        settled = observer.update(&u, &measured).settled;
     }
     assert!(settled);
     let (got, want) = (bends(&arm, observer.state()), bends(&other, &truth));
@@ -269,22 +269,20 @@ fn a_missing_or_broken_length_leaves_the_estimate_where_it_belongs() {
     let u = tensions(&arm);
     let truth = rest(&arm, &u);
     let good = lengths(&arm, &truth.q);
-    observer.start(&good, &[], &u).unwrap();
+    observer.start(&good, &u).unwrap();
     let mut broken = good.clone();
-    broken[3] = f64::NAN;
-    broken[9] += 0.05;
-    let mut valid = vec![true; 24];
-    valid[9] = false;
+    (broken[3], broken[9]) = (f64::NAN, f64::INFINITY);
     for _ in 0..200 {
-        let update = observer.update(&u, &broken, &valid);
+        let update = observer.update(&u, &broken);
         assert_eq!(update.missing, 2);
         assert!(!update.failed && update.innovation_max < 1e-8, "{update:?}");
     }
-    // The same broken length taken as true is an innovation beyond doubt.
-    let update = observer.update(&u, &broken, &[]);
+    // A broken length that is taken as true is an innovation beyond doubt.
+    broken[9] = good[9] + 0.05;
+    let update = observer.update(&u, &broken);
     assert!(update.innovation_max > 0.05 && update.innovation_growth > 0.05 && update.missing == 1, "{update:?}");
     // All cables silent: the model runs on alone.
-    let update = observer.update(&u, &[f64::NAN; 24], &[]);
+    let update = observer.update(&u, &[f64::NAN; 24]);
     assert!(!update.failed && update.missing == 24, "{update:?}");
 }
 
@@ -298,12 +296,12 @@ fn latency_is_bridged_with_the_tensions_already_sent() {
     let u = tensions(&arm);
     let truth = rest(&arm, &u);
     let measured = lengths(&arm, &truth.q);
-    observer.start(&measured, &[], &u).unwrap();
+    observer.start(&measured, &u).unwrap();
     assert!((observer.prediction_s() - 0.03).abs() < 1e-12);
     let pulled: Vec<f64> = u.iter().enumerate().map(|(c, u)| u + if c == 4 { 20.0 } else { 0.0 }).collect();
     let distance =
         |o: &Observer, s: &State| largest(&s.q.iter().zip(&o.state().q).map(|(a, b)| a - b).collect::<Vec<_>>());
-    observer.update(&pulled, &measured, &[]);
+    observer.update(&pulled, &measured);
     // The pull has been sent but does not act yet: the estimate rests, the prediction moves.
     assert!(observer.state().q.iter().zip(&truth.q).all(|(a, b)| (a - b).abs() < 1e-7));
     let predicted = observer.predicted().clone();
@@ -319,12 +317,13 @@ fn start_and_update_do_not_allocate_whichever_cables_are_missing() {
     let arm = observer.arm().clone();
     let u = tensions(&arm);
     let measured = lengths(&arm, &rest(&arm, &u).q);
-    let mut valid = vec![true; 24];
+    let mut found = measured.clone();
     assert_no_alloc(|| {
-        observer.start(&measured, &[], &u).unwrap();
+        observer.start(&measured, &u).unwrap();
         for k in 0..50 {
-            valid[k % 24] = !valid[k % 24];
-            let update = observer.update(&u, &measured, &valid);
+            let cable = k % 24;
+            found[cable] = if found[cable].is_nan() { measured[cable] } else { f64::NAN };
+            let update = observer.update(&u, &found);
             assert!(!update.failed);
         }
     });
@@ -335,8 +334,8 @@ fn a_start_refuses_what_it_cannot_use() {
     let config = ArmConfig::paper();
     let mut observer = Observer::new(&config, &settings(), PERIOD);
     let measured = lengths(observer.arm(), &observer.arm().straight());
-    assert_eq!(observer.start(&measured[1..], &[], &[0.0; 24]), Err(StartError::Input));
-    assert_eq!(observer.start(&measured, &[], &[f64::NAN; 24]), Err(StartError::Input));
+    assert_eq!(observer.start(&measured[1..], &[0.0; 24]), Err(StartError::Input));
+    assert_eq!(observer.start(&measured, &[f64::NAN; 24]), Err(StartError::Input));
     let impossible: Vec<f64> = measured.iter().enumerate().map(|(c, l)| l + if c == 0 { 5.0 } else { 0.0 }).collect();
-    assert!(matches!(observer.start(&impossible, &[], &[0.0; 24]), Err(StartError::Shape { .. })));
+    assert!(matches!(observer.start(&impossible, &[0.0; 24]), Err(StartError::Shape { .. })));
 }

@@ -39,6 +39,11 @@ impl MemoryBus {
         Self { shared: self.shared.clone(), me: shared.queues.len() - 1 }
     }
 
+    /// Frames that wait for this handle.
+    pub fn waiting(&self) -> usize {
+        self.lock().queues[self.me].len()
+    }
+
     /// From now on the bus is too full for these frames, whoever sends them.
     pub fn refuse(&self, which: Option<Refusal>) {
         self.lock().refused = which;

@@ -68,11 +68,11 @@ pub trait Estimator {
 
 impl Estimator for Observer {
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure> {
-        Self::start(self, lengths_m, &[], tensions_n).map_err(|_| EstimatorFailure::NoStart)
+        Self::start(self, lengths_m, tensions_n).map_err(|_| EstimatorFailure::NoStart)
     }
 
     fn update(&mut self, sent_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure> {
-        let update = Self::update(self, sent_n, lengths_m, &[]);
+        let update = Self::update(self, sent_n, lengths_m);
         if update.failed {
             return Err(EstimatorFailure::Step);
         }

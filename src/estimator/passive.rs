@@ -93,11 +93,6 @@ pub struct Observer {
     pub(super) curvatures: [Vec<f64>; 2],
 }
 
-/// A length that can be used.
-pub(super) fn usable(lengths: &[f64], valid: &[bool], cable: usize) -> bool {
-    valid.get(cable).copied().unwrap_or(valid.is_empty()) && lengths[cable].is_finite()
-}
-
 impl Observer {
     /// Builds all buffers; `period_s` is the time between two updates. Allocates.
     pub fn new(arm_config: &ArmConfig, config: &ObserverConfig, period_s: f64) -> Self {
@@ -191,21 +186,21 @@ impl Observer {
         &self.arm
     }
 
-    /// One tick: `u_sent` (N) are the tensions sent in the tick before, `lengths` (m) the newest measurement, `valid`
-    /// which of them count (empty: all; a length that is not finite never counts).
+    /// One tick: `u_sent` (N) are the tensions sent in the tick before, `lengths` (m) the newest measurement; one that is
+    /// not finite does not count.
     ///
     /// With a latency of n ticks the tensions that acted meanwhile are those sent n ticks earlier; the observer keeps
     /// them. Does not allocate.
     ///
     /// # Panics
-    /// If the slices are not one number per cable (`valid` may be empty).
-    pub fn update(&mut self, u_sent: &[f64], lengths: &[f64], valid: &[bool]) -> Update {
+    /// If the slices are not one number per cable.
+    pub fn update(&mut self, u_sent: &[f64], lengths: &[f64]) -> Update {
         assert_eq!(lengths.len(), self.arm.cable_count(), "one length per cable");
         self.sent.rotate_left(1);
         if let Some(newest) = self.sent.last_mut() {
             newest.copy_from_slice(u_sent);
         }
-        self.space.select(|c| usable(lengths, valid, c));
+        self.space.select(|c| lengths[c].is_finite());
         let missing = (0..lengths.len()).filter(|c| !self.space.is_valid(*c)).count();
         let stepped = self.step(lengths);
         let mut innovation = self.z.iter().fold(0.0, |a: f64, z| if z.is_nan() { f64::NAN } else { a.max(z.abs()) });

@@ -34,18 +34,18 @@ const STATIC_ITERATIONS_MAX: usize = 12;
 const CORRECTION_MAX: f64 = 0.5;
 
 impl Observer {
-    /// Starts at rest under tensions `u` (N) with the measured `lengths` (m); `valid` tells which lengths count
-    /// (empty: all). Does not allocate: the control thread starts it at every arming.
+    /// Starts at rest under tensions `u` (N) with the measured `lengths` (m); one that is not finite does not count. Does
+    /// not allocate: the control thread starts it at every arming.
     ///
     /// # Errors
     /// [`StartError`]; the estimate is then not usable.
-    pub fn start(&mut self, lengths: &[f64], valid: &[bool], u: &[f64]) -> Result<(), StartError> {
+    pub fn start(&mut self, lengths: &[f64], u: &[f64]) -> Result<(), StartError> {
         let nc = self.arm.cable_count();
         if lengths.len() != nc || u.len() != nc || u.iter().any(|u| !u.is_finite()) {
             return Err(StartError::Input);
         }
         self.reset();
-        self.space.select(|c| super::passive::usable(lengths, valid, c));
+        self.space.select(|c| lengths[c].is_finite());
         self.shape(lengths)?;
         self.statics(lengths, u)?;
         for sent in &mut self.sent {

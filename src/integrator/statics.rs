@@ -94,14 +94,7 @@ fn newton(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Res
             }
             if jump < 0.5 {
                 arm.residual_into(&Motion::from(&trial), u, &mut upper, &mut lower);
-                for i in 0..n {
-                    for c in 0..7 {
-                        scaled[BLOCK * i + c] = -upper[7 * i + c];
-                    }
-                    for c in 0..4 {
-                        scaled[BLOCK * i + 7 + c] = -scale * lower[4 * i + c];
-                    }
-                }
+                right_side_into(&upper, &lower, -scale, &mut scaled);
                 stepper.factor.solve_in_place(&mut scaled);
                 if norm(&scaled) <= (1.0 - 0.5 * share) * full {
                     break;
@@ -118,6 +111,14 @@ fn newton(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Res
         }
     }
     Err(StepError::Diverged)
+}
+
+/// The right side of a system in node order: minus the upper rows, `factor` times the lower ones.
+fn right_side_into(upper: &[f64], lower: &[f64], factor: f64, out: &mut [f64]) {
+    for ((block, upper), lower) in out.chunks_exact_mut(BLOCK).zip(upper.chunks_exact(7)).zip(lower.chunks_exact(4)) {
+        block[..7].iter_mut().zip(upper).for_each(|(x, f)| *x = -f);
+        block[7..].iter_mut().zip(lower).for_each(|(x, psi)| *x = factor * psi);
+    }
 }
 
 /// Accelerations and multipliers that belong to `state.q`, `state.qd` under tensions `u`: the solution of
@@ -137,14 +138,7 @@ pub fn consistent_start(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut
     arm.mass_into(&state.q, scale, &mut stepper.linearization.tangent);
     stepper.factor.factor(&stepper.linearization.tangent)?;
     let mut x = vec![0.0; BLOCK * n];
-    for i in 0..n {
-        for c in 0..7 {
-            x[BLOCK * i + c] = -upper[7 * i + c];
-        }
-        for c in 0..4 {
-            x[BLOCK * i + 7 + c] = scale * lower[4 * i + c];
-        }
-    }
+    right_side_into(&upper, &lower, scale, &mut x);
     stepper.factor.solve_in_place(&mut x);
     for i in 0..n {
         state.qdd[7 * i..7 * i + 7].copy_from_slice(&x[BLOCK * i..BLOCK * i + 7]);

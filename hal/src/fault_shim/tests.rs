@@ -1,38 +1,22 @@
+//! Claims about the shim: what it does to which frames, and that a seed decides.
+
 use super::*;
 use crate::clock::{Lockstep, Monotonic};
-
-/// A bus that hears what it sends.
-#[derive(Default)]
-struct Echo(VecDeque<Frame>);
-
-impl CanBus for Echo {
-    fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
-        self.0.push_back(*frame);
-        Ok(())
-    }
-    fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
-        Ok(self.0.pop_front().map(|frame| Received { frame, time_ns: 1 }))
-    }
-    fn state(&self) -> BusState {
-        BusState::ErrorActive
-    }
-    fn counters(&self) -> BusCounters {
-        BusCounters::default()
-    }
-    fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
-        Ok(())
-    }
-    fn duplicate(&self) -> std::io::Result<Box<dyn CanBus>> {
-        Ok(Box::new(Self::default()))
-    }
-}
+use crate::memory_bus::MemoryBus;
 
 fn frame(i: u16) -> Frame {
     Frame::classic(Id::Standard(0x200 + i % 8), &i.to_le_bytes()).unwrap()
 }
 
-fn shim(outgoing: FaultPlan, incoming: FaultPlan, seed: u64) -> FaultShim<Echo> {
-    FaultShim::new(Echo::default(), outgoing, incoming, seed, Arc::new(Monotonic)).unwrap()
+/// The shim, and the handle at the other end of its bus.
+fn shim(outgoing: FaultPlan, incoming: FaultPlan, seed: u64) -> (FaultShim<MemoryBus>, MemoryBus) {
+    let far = MemoryBus::default();
+    (FaultShim::new(far.handle(), outgoing, incoming, seed, Arc::new(Monotonic)).unwrap(), far)
+}
+
+/// What waits on a bus.
+fn heard(bus: &mut impl CanBus) -> Vec<Frame> {
+    std::iter::from_fn(|| bus.receive(Duration::ZERO).unwrap()).map(|received| received.frame).collect()
 }
 
 fn numbers(frames: impl IntoIterator<Item = Frame>) -> Vec<u16> {
@@ -41,9 +25,9 @@ fn numbers(frames: impl IntoIterator<Item = Frame>) -> Vec<u16> {
 
 /// Sends frames 0..n and lists what reaches the bus.
 fn through(plan: FaultPlan, seed: u64, n: u16) -> (Vec<u16>, FaultCounts) {
-    let mut s = shim(plan, FaultPlan::default(), seed);
+    let (mut s, mut far) = shim(plan, FaultPlan::default(), seed);
     (0..n).for_each(|i| s.send(&frame(i)).unwrap());
-    (numbers(s.bus.0.drain(..)), s.outgoing.counts)
+    (numbers(heard(&mut far)), s.outgoing.counts)
 }
 
 #[test]
@@ -105,55 +89,50 @@ fn a_script_hits_exactly_its_frames_and_identifiers() {
 
 #[test]
 fn received_frames_suffer_the_other_plan() {
-    let mut s = shim(FaultPlan::default(), FaultPlan { duplicate: 1.0, ..FaultPlan::default() }, 1);
-    (0..3).for_each(|i| s.send(&frame(i)).unwrap());
-    let mut got = Vec::new();
-    while let Some(r) = s.receive(Duration::ZERO).unwrap() {
-        got.push(r.frame);
-    }
-    assert_eq!(numbers(got), [0, 0, 1, 1, 2, 2]);
+    let (mut s, mut far) = shim(FaultPlan::default(), FaultPlan { duplicate: 1.0, ..FaultPlan::default() }, 1);
+    (0..3).for_each(|i| far.send(&frame(i)).unwrap());
+    assert_eq!(numbers(heard(&mut s)), [0, 0, 1, 1, 2, 2]);
 }
 
 #[test]
 fn a_delay_by_time_ends_when_the_clock_says_so() {
     let clock = Arc::new(Lockstep::new(1000));
     let plan = FaultPlan { delay: 1.0, delay_by: Delay::Time(Duration::from_nanos(500)), ..FaultPlan::default() };
-    let mut s = FaultShim::new(Echo::default(), FaultPlan::default(), plan, 1, clock.clone()).unwrap();
-    s.send(&frame(9)).unwrap();
+    let mut far = MemoryBus::default();
+    let mut s = FaultShim::new(far.handle(), FaultPlan::default(), plan, 1, clock.clone()).unwrap();
+    far.send(&frame(9)).unwrap();
     assert_eq!(s.receive(Duration::ZERO), Ok(None));
     clock.advance_to(1499);
     assert_eq!(s.receive(Duration::ZERO), Ok(None));
     clock.advance_to(1500);
-    // The frame was received at time 1 and came 500 ns late.
-    assert_eq!(s.receive(Duration::ZERO), Ok(Some(Received { frame: frame(9), time_ns: 501 })));
+    // The bus in memory stamps with 0, and the frame came 500 ns late.
+    assert_eq!(s.receive(Duration::ZERO), Ok(Some(Received { frame: frame(9), time_ns: 500 })));
 }
 
 #[test]
 fn watched_frames_are_counted_whatever_becomes_of_them() {
-    let mut s = shim(FaultPlan::default(), FaultPlan { drop: 1.0, ..FaultPlan::default() }, 1);
+    let (mut s, mut far) = shim(FaultPlan::default(), FaultPlan { drop: 1.0, ..FaultPlan::default() }, 1);
     s.watch(Id::Standard(0x203));
-    (0..16).for_each(|i| s.send(&frame(i)).unwrap());
+    (0..16).for_each(|i| far.send(&frame(i)).unwrap());
     // Each of the two ends a receive, and nothing passes.
-    assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 1, 12));
-    assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.bus.0.len()), (Ok(None), 2, 4));
+    assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.inner().waiting()), (Ok(None), 1, 12));
+    assert_eq!((s.receive(Duration::from_secs(9)), s.watched(), s.inner().waiting()), (Ok(None), 2, 4));
 }
 
 #[test]
 fn what_is_late_by_time_comes_in_just_before_a_watched_frame() {
     let clock = Arc::new(Lockstep::new(0));
-    let mut s = FaultShim::clean(Echo::default(), 1, clock.clone());
+    let mut far = MemoryBus::default();
+    let mut s = FaultShim::clean(far.handle(), 1, clock.clone());
     s.watch(Id::Standard(0x203));
     let late = FaultPlan { delay: 1.0, delay_by: Delay::Time(Duration::from_nanos(5)), ..FaultPlan::default() };
     s.set_plans(&[], &[late]).unwrap();
-    s.send(&frame(0)).unwrap();
+    far.send(&frame(0)).unwrap();
     assert_eq!(s.receive(Duration::ZERO), Ok(None));
     s.set_plans(&[], &[]).unwrap();
     clock.advance_to(5);
-    (1..4).for_each(|i| s.send(&frame(i)).unwrap());
-    let mut got = Vec::new();
-    while let Some(r) = s.receive(Duration::ZERO).unwrap() {
-        got.push(r.frame);
-    }
+    (1..4).for_each(|i| far.send(&frame(i)).unwrap());
+    let got = heard(&mut s);
     assert_eq!((s.watched(), numbers(got)), (1, vec![1, 2]));
     assert_eq!(numbers(std::iter::from_fn(|| s.next_ready()).map(|r| r.frame)), [0, 3]);
 }
@@ -162,25 +141,25 @@ fn what_is_late_by_time_comes_in_just_before_a_watched_frame() {
 fn plans_change_between_two_frames_and_a_seed_begins_anew() {
     let faulty = FaultPlan { drop: 0.5, ..FaultPlan::default() };
     let run = |before: u16| {
-        let mut s = shim(FaultPlan::default(), FaultPlan::default(), 1);
+        let (mut s, mut far) = shim(FaultPlan::default(), FaultPlan::default(), 1);
         (0..before).for_each(|i| s.send(&frame(i)).unwrap());
-        assert_eq!(s.bus.0.len(), usize::from(before), "no faults yet");
+        assert_eq!(heard(&mut far).len(), usize::from(before), "no faults yet");
         s.set_plans(std::slice::from_ref(&faulty), &[]).unwrap();
         s.reseed(5);
         (0..100).for_each(|i| s.send(&frame(i)).unwrap());
-        numbers(s.bus.0.drain(usize::from(before)..))
+        numbers(heard(&mut far))
     };
     assert_eq!(run(0), run(33));
     assert!((20..80).contains(&run(0).len()));
-    let mut s = shim(FaultPlan::default(), FaultPlan::default(), 1);
+    let (mut s, _far) = shim(FaultPlan::default(), FaultPlan::default(), 1);
     assert!(s.set_plans(&[FaultPlan { drop: 2.0, ..faulty }], &[]).is_err());
 }
 
 #[test]
 fn a_frame_without_payload_cannot_be_corrupted_and_vanishes() {
-    let mut s = shim(FaultPlan { corrupt: 1.0, ..FaultPlan::default() }, FaultPlan::default(), 1);
+    let (mut s, far) = shim(FaultPlan { corrupt: 1.0, ..FaultPlan::default() }, FaultPlan::default(), 1);
     s.send(&Frame::classic(Id::Standard(0x80), &[]).unwrap()).unwrap();
-    assert!(s.bus.0.is_empty());
+    assert_eq!(far.waiting(), 0);
     assert_eq!(s.counts().0.dropped, 1);
 }
 
@@ -195,7 +174,7 @@ fn too_many_held_frames_pass_untouched() {
 fn impossible_probabilities_are_refused() {
     for found in [-0.1, 1.1, f64::NAN, f64::INFINITY] {
         let plan = FaultPlan { reorder: found, ..FaultPlan::default() };
-        let e = FaultShim::new(Echo::default(), FaultPlan::default(), plan, 1, Arc::new(Monotonic)).err().unwrap();
+        let e = FaultShim::new(MemoryBus::default(), FaultPlan::default(), plan, 1, Arc::new(Monotonic)).err().unwrap();
         assert_eq!(e.fault, "reorder");
     }
 }

@@ -163,7 +163,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     let mut truth = Truth::new(&settings.arm, &plant);
     truth.start_at_equilibrium(&start.tensions, &start.curvatures).expect("the plant rests");
     let mut observer = Observer::new(&settings.arm, &observer_config, h);
-    let measured = vec![!settings.open_loop; arm.cable_count()];
+    let blind = vec![f64::NAN; arm.cable_count()];
     if settings.open_loop {
         // Its own equilibrium under the same tensions is all that it knows.
         let mut state = State::at_rest(arm.bent(&start.curvatures));
@@ -172,7 +172,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
         consistent_start(&arm, &mut stepper, &start.tensions, &mut state).expect("the model rests");
         observer.resume(&state);
     } else {
-        observer.start(truth.lengths(), &[], &start.tensions).expect("the observer starts");
+        observer.start(truth.lengths(), &start.tensions).expect("the observer starts");
     }
     let mut planner = Planner::new(&settings.arm, &planner_config, 1.0, &scenario.change());
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -198,7 +198,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
     while (k as f64) * h < duration {
         let time = k as f64 * h;
         let clock = Instant::now();
-        let update = observer.update(&u, truth.lengths(), &measured);
+        let update = observer.update(&u, if settings.open_loop { &blind } else { truth.lengths() });
         let spent = clock.elapsed();
         times[0] += spent;
         outcome.observer_time[1] = outcome.observer_time[1].max(spent);
