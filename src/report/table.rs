@@ -88,9 +88,20 @@ fn show(json: &Value, field: &str) -> String {
             Ok(i) if v.is_array() => v.get(i),
             _ => v.get(key),
         });
-        value.map_or_else(|| "-".into(), short)
+        match value {
+            Some(v @ Value::Number(_)) => format!("{}{}", short(v), unit(path)),
+            Some(v @ Value::Array(a)) if !a.is_empty() => format!("{}{}", short(v), unit(path)),
+            other => other.map_or_else(|| "-".into(), short),
+        }
     };
     field.split(',').map(|p| one(p.trim())).collect::<Vec<_>>().join("; ")
+}
+
+/// The unit that a path's names say, the last one first.
+fn unit(path: &str) -> &'static str {
+    const UNITS: [(&str, &str); 4] = [("_1pm", " 1/m"), ("_m", " m"), ("_n", " N"), ("_s", " s")];
+    let of = |key: &str| UNITS.iter().find(|(suffix, _)| key.ends_with(suffix)).map(|(_, unit)| *unit);
+    path.rsplit('.').find_map(of).unwrap_or_default()
 }
 
 fn short(v: &Value) -> String {
@@ -128,4 +139,25 @@ fn inside(intervals: &[[f64; 2]]) -> String {
     }
     let list: Vec<_> = intervals.iter().map(|[a, b]| format!("[{a}, {b}]")).collect();
     format!(", inside {} s", list.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_figure_is_shown_with_the_unit_of_its_name() {
+        let run = json!({
+            "tip_error_m": {"min": [-6.69e-3, 0.25]}, "newton": {"safe": {"mean": 2.717}}, "at": [{"inside_s": []}],
+            "curvature_error_final_1pm": 0.0592, "tension_n": {"saturated": {"3,3": {"ticks": 349}}}, "none": null,
+        });
+        let shown = |field| show(&run, field);
+        assert_eq!(shown("tip_error_m.min"), "[-6.69e-3, 0.25] m");
+        assert_eq!(shown("newton.safe.mean, newton.missing"), "2.717; -");
+        assert_eq!(shown("at.0.inside_s"), "never");
+        assert_eq!(shown("curvature_error_final_1pm"), "0.0592 1/m");
+        assert_eq!(shown("tension_n.saturated"), "3,3 ticks 349");
+        assert_eq!(shown("none"), "-");
+    }
 }
