@@ -17,8 +17,11 @@
 //! but compared with the start and with the answers of the smaller working sets, all by the cost with the penalty of
 //! *all* rows ([`Solver::penalized`]), and the best of them is the answer.
 //!
-//! An exact active-set method would do as well on 24 unknowns; this one warm-starts from any point, its iterations are
-//! bounded, and it is the paper's.
+//! Newton has two faces here. On the natural residual `z - mid(l, h, z - F)` each iteration is a primal-dual active-set step
+//! (Hintermueller, Ito and Kunisch 2002): components are held at the bound that they lean on and a linear system in the free
+//! ones is solved, which ends after finitely many steps, from a neighbouring problem's solution mostly after one or two, but
+//! may cycle. It comes first; where it has not ended after a few steps, the paper's Newton on (24), which a line search
+//! globalises, goes on from the start. Both ends are the same solution.
 
 use crate::math::dense;
 use crate::math::simd::{add_scaled, dot};
@@ -93,11 +96,12 @@ pub struct Solver {
     low: Vec<f64>,
     high: Vec<f64>,
     force: Vec<f64>,
-    psi: Vec<f64>,
-    weight: Vec<[f64; 2]>,
     jacobian: Vec<f64>,
     step: Vec<f64>,
     trial: Vec<f64>,
+    start: Vec<f64>,
+    /// Components between their bounds in the last active-set step.
+    free: Vec<usize>,
     used: Vec<bool>,
     multipliers: Vec<f64>,
     /// Best answer so far by the penalized cost.
@@ -108,6 +112,8 @@ pub struct Solver {
 const TOLERANCE: f64 = 1e-13;
 /// Most Newton iterations per working set.
 const ITERATIONS_MAX: usize = 80;
+/// Most active-set steps per working set; where they have not ended the search by then, they cycle or are far off.
+const ACTIVE_SET_STEPS_MAX: usize = 8;
 /// Most Newton iterations of a working set that was told; where they do not solve it, it was a bad guess.
 const WARM_ITERATIONS_MAX: usize = 12;
 /// A row is violated when `C u + d` is below minus this share of its size.
@@ -134,11 +140,11 @@ impl Solver {
             low: vec![0.0; m],
             high: vec![0.0; m],
             force: vec![0.0; m],
-            psi: vec![0.0; m],
-            weight: vec![[0.0; 2]; m],
             jacobian: vec![0.0; m * m],
             step: vec![0.0; m],
             trial: vec![0.0; m],
+            start: vec![0.0; m],
+            free: Vec::with_capacity(m),
             used: vec![false; rows],
             multipliers: vec![0.0; rows],
             best: vec![0.0; n],
@@ -342,7 +348,7 @@ impl Solver {
         (0..force.len()).map(|i| component(z[i] - self.low[i], self.high[i] - z[i], force[i]).0.powi(2)).sum()
     }
 
-    /// Semismooth Newton on the working set; returns iterations and the natural residual.
+    /// Newton on the working set; returns iterations and the natural residual.
     fn newton(
         &mut self,
         problem: &Problem<'_>,
@@ -353,70 +359,122 @@ impl Solver {
     ) -> (usize, f64) {
         let m = self.n + self.row_of.len();
         let mut force = std::mem::take(&mut self.force);
-        let mut trial = std::mem::take(&mut self.trial);
         let mut z = std::mem::take(&mut self.z);
-        let (n, p) = (self.n, self.row_of.len());
+        self.start[..m].copy_from_slice(&z[..m]);
         self.evaluate(problem, &z, &mut force[..m]);
         let mut residual = self.natural(&z[..m], &force[..m]);
-        let mut iterations = 0;
-        while residual > TOLERANCE * size && iterations < limit {
+        let unsolved = |residual: f64| residual > TOLERANCE * size;
+        let (mut iterations, mut regular) = (0, true);
+        // Every solve may make one step, whatever the time: a machine that is always late moves all the same.
+        while unsolved(residual) && regular && !*stopped && iterations < limit.min(ACTIVE_SET_STEPS_MAX) {
             iterations += 1;
-            let mut merit = 0.0;
-            for i in 0..m {
-                let (psi, w) = component(z[i] - self.low[i], self.high[i] - z[i], force[i]);
-                self.psi[i] = psi;
-                self.weight[i] = w;
-                merit += psi * psi;
-            }
-            // Rows of the generalised Jacobian: -(w0 e_i + w1 F'_i).
-            for i in 0..m {
-                let [w0, w1] = self.weight[i];
-                let row = &mut self.jacobian[i * m..(i + 1) * m];
-                if i < n {
-                    for j in 0..n {
-                        row[j] = w1 * self.a[i * n + j];
-                    }
-                    for k in 0..p {
-                        row[n + k] = -w1 * self.c[k * n + i];
-                    }
-                } else {
-                    for j in 0..n {
-                        row[j] = w1 * self.c[(i - n) * n + j];
-                    }
-                    row[n..].fill(0.0);
-                    row[i] = w1 * COMPLIANCE;
-                }
-                row[i] += w0;
-                self.step[i] = self.psi[i];
-            }
-            if !dense::solve_in_place(m, &mut self.jacobian[..m * m], &mut self.step[..m]) {
-                break;
-            }
-            // Line search on the merit function; a step that solves the linearised problem exactly is taken whole.
-            let mut share = 1.0;
-            loop {
-                for i in 0..m {
-                    trial[i] = z[i] + share * self.step[i];
-                }
-                self.evaluate(problem, &trial, &mut force[..m]);
-                let next = self.merit(&trial[..m], &force[..m]);
-                if next <= (1.0 - 1e-4 * share) * merit || share < 1e-6 || next <= (TOLERANCE * size).powi(2) {
-                    break;
-                }
-                share *= 0.5;
-            }
-            std::mem::swap(&mut z, &mut trial);
+            regular = self.active_set_step(problem, &mut z[..m], &mut force[..m]);
             residual = self.natural(&z[..m], &force[..m]);
-            // Every solve may make one step, whatever the time: a machine that is always late moves all the same.
             *stopped = stop();
-            if *stopped {
-                break;
-            }
+        }
+        if !(residual <= TOLERANCE * size || *stopped) {
+            z[..m].copy_from_slice(&self.start[..m]);
+            self.evaluate(problem, &z, &mut force[..m]);
+            residual = self.natural(&z[..m], &force[..m]);
+        }
+        let mut regular = true;
+        while unsolved(residual) && regular && !*stopped && iterations < limit {
+            iterations += 1;
+            regular = self.fischer_burmeister_step(problem, size, &mut z[..m], &mut force[..m]);
+            residual = self.natural(&z[..m], &force[..m]);
+            *stopped = stop();
         }
         self.force = force;
-        self.trial = trial;
         self.z = z;
         (iterations, residual)
+    }
+
+    /// One step of Newton on (24) from `z` with its `force`, which become the next iterate's; false where the generalised
+    /// Jacobian is singular, or not finite.
+    fn fischer_burmeister_step(&mut self, problem: &Problem<'_>, size: f64, z: &mut [f64], force: &mut [f64]) -> bool {
+        let (n, m) = (self.n, z.len());
+        let mut merit = 0.0;
+        // Rows of the generalised Jacobian: -(w0 e_i + w1 F'_i).
+        for i in 0..m {
+            let (psi, [w0, w1]) = component(z[i] - self.low[i], self.high[i] - z[i], force[i]);
+            merit += psi * psi;
+            self.step[i] = psi;
+            let row = &mut self.jacobian[i * m..(i + 1) * m];
+            if i < n {
+                for j in 0..n {
+                    row[j] = w1 * self.a[i * n + j];
+                }
+                for k in 0..m - n {
+                    row[n + k] = -w1 * self.c[k * n + i];
+                }
+            } else {
+                for j in 0..n {
+                    row[j] = w1 * self.c[(i - n) * n + j];
+                }
+                row[n..].fill(0.0);
+                row[i] = w1 * COMPLIANCE;
+            }
+            row[i] += w0;
+        }
+        if !dense::solve_in_place(m, &mut self.jacobian[..m * m], &mut self.step[..m]) {
+            return false;
+        }
+        // Line search on the merit function; a step that solves the linearised problem exactly is taken whole.
+        let mut trial = std::mem::take(&mut self.trial);
+        let mut share = 1.0;
+        loop {
+            for i in 0..m {
+                trial[i] = z[i] + share * self.step[i];
+            }
+            self.evaluate(problem, &trial, force);
+            let next = self.merit(&trial[..m], force);
+            if next <= (1.0 - 1e-4 * share) * merit || share < 1e-6 || next <= (TOLERANCE * size).powi(2) {
+                break;
+            }
+            share *= 0.5;
+        }
+        z.copy_from_slice(&trial[..m]);
+        self.trial = trial;
+        true
+    }
+
+    /// One step of the active-set method from `z` with its `force`, which become the next iterate's; false where the free
+    /// components' system is singular, or not finite.
+    fn active_set_step(&mut self, problem: &Problem<'_>, z: &mut [f64], force: &mut [f64]) -> bool {
+        let n = self.n;
+        self.free.clear();
+        for i in 0..z.len() {
+            let moved = z[i] - force[i];
+            if moved <= self.low[i] {
+                z[i] = self.low[i];
+            } else if moved >= self.high[i] {
+                z[i] = self.high[i];
+            } else {
+                self.free.push(i);
+            }
+        }
+        self.evaluate(problem, z, force);
+        let m = self.free.len();
+        for (r, &i) in self.free.iter().enumerate() {
+            self.step[r] = -force[i];
+            for (entry, &j) in self.jacobian[r * m..(r + 1) * m].iter_mut().zip(&self.free) {
+                *entry = match (i < n, j < n) {
+                    (true, true) => self.a[i * n + j],
+                    (true, false) => -self.c[(j - n) * n + i],
+                    (false, true) => self.c[(i - n) * n + j],
+                    (false, false) if i == j => COMPLIANCE,
+                    (false, false) => 0.0,
+                };
+            }
+        }
+        if !dense::solve_in_place(m, &mut self.jacobian[..m * m], &mut self.step[..m]) {
+            return false;
+        }
+        for (&i, step) in self.free.iter().zip(&self.step) {
+            z[i] += step;
+        }
+        self.evaluate(problem, z, force);
+        true
     }
 
     fn natural(&self, z: &[f64], force: &[f64]) -> f64 {
