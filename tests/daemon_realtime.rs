@@ -61,6 +61,34 @@ fn a_loop_that_requires_real_time_refuses_to_start_without_it_and_leaves_nothing
     place.assert_clean();
 }
 
+/// Whether a process holds a file open.
+fn holds(process: u32, file: &Path) -> bool {
+    let open = std::fs::read_dir(format!("/proc/{process}/fd")).unwrap();
+    open.flatten().any(|entry| std::fs::read_link(entry.path()).is_ok_and(|path| path == file))
+}
+
+#[test]
+fn wake_up_latency_is_bounded_in_real_time_only_and_a_refusal_is_that_of_a_right() {
+    let file = Path::new("/dev/cpu_dma_latency");
+    // Nothing else of real time is asked for, so that nothing else can be refused.
+    let place = place("priority = 0\nlock_memory = false\nwake_latency_s = 0.005\nrequire_realtime = true\n");
+    let may = std::fs::OpenOptions::new().write(true).open(file);
+    if let Err(error) = may {
+        let (status, said) = Daemon { child: place.sinew(&["run"]).stderr(Stdio::piped()).spawn().unwrap() }.finish();
+        assert_eq!(status.code(), Some(2), "{said}");
+        let refusal = format!("real time is required, but: wake-up latency refused ({error}): /dev/cpu_dma_latency ");
+        assert!(said.contains(&refusal), "{said}");
+    } else {
+        let daemon = place.daemon(&[]);
+        assert!(holds(daemon.child.id(), file));
+        let bound = std::fs::read(file).unwrap()[..].try_into().map(i32::from_ne_bytes).unwrap();
+        assert!((0..=5000).contains(&bound), "{bound} us");
+        assert_eq!(place.status().unwrap().realtime_refused, [""; 0]);
+    }
+    let lockstep = place.daemon(&["--lockstep"]);
+    assert!(!holds(lockstep.child.id(), file));
+}
+
 static STALL: AtomicBool = AtomicBool::new(false);
 static STALLED: AtomicBool = AtomicBool::new(false);
 
@@ -172,6 +200,12 @@ fn the_service_unit_gives_what_the_daemon_asks_for() {
     assert_eq!((value("Type"), value("NotifyAccess")), ("notify", "main"));
     assert!(value("LimitRTPRIO").parse::<u8>().unwrap() >= config.timing.priority);
     assert_eq!(value("LimitMEMLOCK"), "infinity");
+    // The rule that lets the unit's user bound the wake-up latency; the unit itself shuts no device out.
+    let rule = format!(r#"KERNEL=="cpu_dma_latency", GROUP="{}", MODE="0660""#, value("User"));
+    assert!(unit.lines().any(|line| line.trim_start_matches(['#', ' ']) == rule), "{rule}");
+    for shut in ["DevicePolicy=", "DeviceAllow=", "PrivateDevices="] {
+        assert!(!unit.lines().any(|line| line.starts_with(shut)), "{shut}");
+    }
     // The main thread looks every 50 ms and pings at a third of the time.
     assert!(seconds("WatchdogSec") / 3.0 >= 0.1);
     // A hang that is noticed later than the drives notice it is no danger to the arm.

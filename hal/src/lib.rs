@@ -15,3 +15,4 @@ pub mod realtime;
 pub mod socketcan_bus;
 pub mod socketcand;
 pub mod virtual_bus;
+pub mod wake_latency;

@@ -4,6 +4,9 @@
 //! Nothing here fails by itself: a machine without privileges runs on, degraded, and says so once. Who cannot accept
 //! that asks [`Report::require`].
 //! Must never: change another thread, except that locking memory is by nature a matter of the whole process.
+//!
+//! One wish is not a thread's and lasts only as long as somebody holds it: [`crate::wake_latency`]. Its refusal goes into
+//! the same report.
 
 use std::fmt;
 use std::io;
@@ -53,6 +56,8 @@ pub enum Wish {
     LockedMemory,
     /// Denormal numbers as zero.
     FlushDenormals,
+    /// Processors that wake up soon, [`crate::wake_latency`].
+    WakeLatency,
 }
 
 /// A wish not granted.
@@ -73,6 +78,7 @@ impl fmt::Display for Refused {
             Wish::Affinity => "processor affinity",
             Wish::LockedMemory => "locked memory",
             Wish::FlushDenormals => "flushing of denormal numbers",
+            Wish::WakeLatency => "wake-up latency",
         };
         write!(f, "{wish} refused")?;
         if let Some(e) = self.os_error {

@@ -40,9 +40,11 @@ impl Config {
             (priority, Some(cpu)) => format!("SCHED_FIFO {priority} on processor {cpu}"),
             (priority, None) => format!("SCHED_FIFO {priority}"),
         };
+        let wake =
+            timing.wake_latency_s.map_or_else(String::new, |s| format!(", wake-up latency at most {:.0} us", 1e6 * s));
         lines.push(line(
             "period",
-            format!("{} ms ({:.0} Hz), {scheduling}", 1e3 * timing.period_s, 1.0 / timing.period_s),
+            format!("{} ms ({:.0} Hz), {scheduling}{wake}", 1e3 * timing.period_s, 1.0 / timing.period_s),
         ));
         lines.push(line(
             "late ticks",

@@ -15,7 +15,10 @@ pub struct LoopConfig {
     pub priority: u8,
     /// Lock and pre-fault the process's memory.
     pub lock_memory: bool,
-    /// Refuse to start without the priority and the memory lock; otherwise run on degraded and say so.
+    /// Longest time that a processor may take to leave its idle state (s), 0 to 10 ms, asked for in whole microseconds;
+    /// `None` does not ask.
+    pub wake_latency_s: Option<f64>,
+    /// Refuse to start without what is asked for above; otherwise run on degraded and say so.
     pub require_realtime: bool,
     /// Late ticks in a row during which the last tensions are held.
     pub overruns_hold: u32,
@@ -49,12 +52,21 @@ pub static LOOP: TableSpec = TableSpec {
         ),
         Key::default("priority", Kind::Integer(0, 99), "", "80", "SCHED_FIFO priority; 0 keeps normal scheduling."),
         Key::default("lock_memory", Kind::Bool, "", "true", "Lock and pre-fault the memory."),
+        Key::optional(
+            "wake_latency_s",
+            Kind::Float(Range::closed(0.0, 0.01)),
+            "s",
+            "not asked for",
+            "Longest time that any processor may take to leave its idle state while the loop runs, in whole microseconds \
+             (`/dev/cpu_dma_latency`). 0 wakes soonest, and the processors draw power as if they worked.",
+        ),
         Key::default(
             "require_realtime",
             Kind::Bool,
             "",
             "false",
-            "Refuse to start where priority or memory lock are not granted; otherwise run on degraded.",
+            "Refuse to start where processor, priority, memory lock or wake-up latency are not granted; otherwise run on \
+             degraded.",
         ),
         Key::default(
             "overruns_hold",
@@ -94,6 +106,7 @@ pub(super) fn read(table: &Section<'_>) -> LoopConfig {
         cpu: table.count_opt("cpu"),
         priority: table.integer("priority") as u8,
         lock_memory: table.boolean("lock_memory"),
+        wake_latency_s: table.float_opt("wake_latency_s"),
         require_realtime: table.boolean("require_realtime"),
         overruns_hold: table.integer("overruns_hold") as u32,
         ramp_s: table.float("ramp_s"),

@@ -13,6 +13,7 @@ use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
 use sinew_hal::realtime::{self, Report};
+use sinew_hal::wake_latency::WakeLatency;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, Sender};
@@ -54,7 +55,11 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
         flush_denormals: true,
         ..realtime::Request::default()
     };
-    let report = realtime::enter(&request);
+    let mut report = realtime::enter(&request);
+    // Held until the loop has ended.
+    let _wake_latency = timing.wake_latency_s.filter(|_| !lockstep).and_then(|longest_s| {
+        WakeLatency::at_most(Duration::from_secs_f64(longest_s)).map_err(|refused| report.refused.push(refused)).ok()
+    });
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
     let (ticks, around) = (plan.ticks, plan.around_tick);
     let parts = Parts {

@@ -118,6 +118,30 @@ fn the_shipped_files_are_accepted_together() {
         summary.iter().any(|line| line.starts_with("bus bus3: SocketCAN vcan3, 1000 kbit/s, 6 drives, nodes 1 to 6"))
     );
     assert!(summary.iter().any(|line| line.contains("10 ms (100 Hz)")), "{summary:?}");
+
+    let mut fast = files(&["arm.toml", "drives-4-fd-buses.toml"]);
+    fast.push(("controller-1khz.toml".to_owned(), include_str!("../../config/controller-1khz.toml").to_owned()));
+    let fast = Config::parse(fast).unwrap();
+    let period = fast.summary().into_iter().find(|line| line.label == "period").unwrap().value;
+    assert_eq!(period, "1 ms (1000 Hz), SCHED_FIFO 80 on processor 1, wake-up latency at most 0 us");
+}
+
+#[test]
+fn a_wake_up_latency_is_asked_for_only_where_it_is_given_and_within_its_range() {
+    assert_eq!(
+        Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap().timing.wake_latency_s,
+        None
+    );
+    let with = |value| {
+        let keys = format!("period_s = 0.01\nwake_latency_s = {value}");
+        changed("controller.toml", "period_s = 0.01", &keys)
+    };
+    for (value, expected) in [("0", 0.0), ("0.01", 0.01)] {
+        assert_eq!(with(value).unwrap().timing.wake_latency_s, Some(expected));
+    }
+    for value in ["20.0", "0.0101", "-1e-6", "nan"] {
+        expect(with(value), &["`loop.wake_latency_s`", value, "0 to 0.01 s"]);
+    }
 }
 
 #[test]
