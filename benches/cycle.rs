@@ -99,7 +99,7 @@ fn newton(config: &Config) {
         let assembled = Instant::now();
         stepper.factor.factor(&stepper.linearization.tangent).unwrap();
         let factored = Instant::now();
-        stepper.affine_map_into(&mut map);
+        stepper.affine_map_into(&arm, &mut map);
         let solved = Instant::now();
         map.evaluate_into(&u, &mut dx);
         stepper.apply(&dx, rates, &mut state);

@@ -78,7 +78,7 @@ fn affine_map(bencher: Bencher<'_, '_>, size: [usize; 3]) {
     let mut c = factored(size);
     let mut map = AffineMap::new(&c.arm);
     bencher.bench_local(|| {
-        c.stepper.affine_map_into(black_box(&mut map));
+        c.stepper.affine_map_into(&c.arm, black_box(&mut map));
         map.x0[0]
     });
 }

@@ -78,7 +78,7 @@ fn parts(config: &ArmConfig) -> [f64; 5] {
     stepper.linearize(&arm, &Motion::from(&state), &u, rates).unwrap();
     let assembly = time(|| arm.linearize(black_box(&Motion::from(&state)), &u, rates, &mut stepper.linearization));
     let factor = time(|| stepper.factor.factor(black_box(&stepper.linearization.tangent)).unwrap());
-    let panel = time(|| stepper.affine_map_into(black_box(&mut map)));
+    let panel = time(|| stepper.affine_map_into(&arm, black_box(&mut map)));
     let mut lengths = vec![0.0; arm.cable_count()];
     arm.cable_lengths_into(&state.q, &mut lengths);
     let mut observer = Observer::new(config, &Config::builtin().observer, 0.01);

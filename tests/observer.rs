@@ -157,7 +157,9 @@ fn the_low_rank_correction_equals_a_dense_solve_of_the_corrected_tangent() {
         stepper.linearization.tangent.multiply_into(&e, &mut column);
         dense.set_column(k, &DVector::from_vec(column));
     }
-    let b = DMatrix::from_row_slice(size, nc, &stepper.linearization.input);
+    let mut b = vec![0.0; size * nc];
+    stepper.linearization.input_into(&arm, &mut b);
+    let b = DMatrix::from_row_slice(size, nc, &b);
     let t = DMatrix::from_fn(nc, n, |c, i| space.row(c)[i]);
     let v = &b * t;
     dense += &v * DMatrix::from_diagonal(&DVector::from_vec(gain)) * v.transpose();

@@ -393,7 +393,7 @@ fn the_affine_map_is_the_newton_step_for_the_tensions_it_was_made_with() {
     assert!(stepper.step(&arm, &scheme, eta, &start, &u, 20, &mut next).unwrap().converged);
     stepper.linearize(&arm, &Motion::from(&next), &u, scheme.rates(eta)).unwrap();
     let mut map = AffineMap::new(&arm);
-    stepper.affine_map_into(&mut map);
+    stepper.affine_map_into(&arm, &mut map);
     let mut dx = vec![0.0; map.x0.len()];
     map.evaluate_into(&u, &mut dx);
     assert!(dx.iter().all(|d| d.abs() < 1e-10));

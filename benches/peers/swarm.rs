@@ -50,7 +50,7 @@ impl Server {
         let mut next = State::at_rest(arm.straight());
         scheme.predict(case.eta, &case.state, &mut next);
         stepper.linearize(&arm, &Motion::from(&next), &case.u_previous, rates).expect("a regular tangent");
-        stepper.affine_map_into(&mut map);
+        stepper.affine_map_into(&arm, &mut map);
         let change: Vec<f64> = arm.cable_segment.iter().map(|&s| safe::change(&case)[s]).collect();
         let mut quadratic = Quadratic::new(&arm);
         let goal = safe::goal(&case, request);

@@ -54,6 +54,11 @@ impl CableSpace {
         &self.t[cable * self.angles..(cable + 1) * self.angles]
     }
 
+    /// `T`, row-major cables x angles.
+    pub fn matrix(&self) -> &[f64] {
+        &self.t
+    }
+
     /// True where the cable's measurement counts.
     pub fn is_valid(&self, cable: usize) -> bool {
         self.valid[cable]

@@ -246,7 +246,7 @@ impl Observer {
             self.stepper.linearize(&self.arm, &Motion::from(&self.next), &self.effective, rates).ok()?;
             self.moment_panel();
             // (S + V C V^T) dx = r: dx = s - S^-1 V (C^-1 + V^T S^-1 V)^-1 V^T s, s = S^-1 r.
-            let s = self.stepper.correction(&self.effective);
+            let s = self.stepper.correction();
             self.small_a.fill(0.0);
             self.small_b.fill(0.0);
             for (r, x) in s.iter().enumerate() {
@@ -313,17 +313,8 @@ impl Observer {
 
     /// `V = B T` and `S^-1 V` at the last linearisation.
     pub(super) fn moment_panel(&mut self) {
-        let (n, nc) = (self.space.angle_count(), self.arm.cable_count());
-        self.v.fill(0.0);
-        for (b, v) in self.stepper.linearization.input.chunks_exact(nc).zip(self.v.chunks_exact_mut(n)) {
-            for (c, b) in b.iter().enumerate() {
-                if *b != 0.0 {
-                    for (v, t) in v.iter_mut().zip(self.space.row(c)) {
-                        *v += b * t;
-                    }
-                }
-            }
-        }
+        let n = self.space.angle_count();
+        self.stepper.linearization.input_times_into(&self.arm, self.space.matrix(), n, &mut self.v);
         self.sv.copy_from_slice(&self.v);
         self.stepper.factor.solve_panel_in_place(n, &self.dense, &mut self.sv);
     }

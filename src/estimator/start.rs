@@ -115,7 +115,7 @@ impl Observer {
                 return Err(StartError::Statics);
             }
             self.moment_panel();
-            let dx = self.stepper.correction(&self.effective);
+            let dx = self.stepper.correction();
             // z falls by V^T dx: V^T (dx + S^-1 V dbeta) = z.
             for i in 0..n {
                 let along: f64 = (0..dx.len()).map(|r| self.v[r * n + i] * dx[r]).sum();

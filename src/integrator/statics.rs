@@ -77,7 +77,7 @@ fn newton(arm: &Arm, stepper: &mut Stepper, u: &[f64], state: &mut State) -> Res
     for iteration in 1..=ITERATIONS_MAX {
         stepper.linearize(arm, &Motion::from(&*state), u, Rates::STATIC)?;
         let scale = stepper.linearization.scale;
-        dx.copy_from_slice(stepper.correction(u));
+        dx.copy_from_slice(stepper.correction());
         let full = norm(&dx);
         if !full.is_finite() {
             return Err(StepError::Diverged);

@@ -73,12 +73,12 @@ impl Stepper {
     }
 
     /// The affine map at the last linearisation. Does not allocate.
-    pub fn affine_map_into(&mut self, map: &mut AffineMap) {
+    pub fn affine_map_into(&mut self, arm: &Arm, map: &mut AffineMap) {
         for (x, f) in map.x0.iter_mut().zip(&self.linearization.f) {
             *x = -f;
         }
         self.factor.solve_in_place(&mut map.x0);
-        map.x1.copy_from_slice(&self.linearization.input);
+        self.linearization.input_into(arm, &mut map.x1);
         self.factor.solve_panel_in_place(map.cables, &map.leading, &mut map.x1);
     }
 
@@ -101,12 +101,11 @@ impl Stepper {
         norm.sqrt()
     }
 
-    /// The Newton correction at the last linearisation for tensions `u`: `S dx = -f + B u`.
-    pub(crate) fn correction(&mut self, u: &[f64]) -> &mut Vec<f64> {
-        let nc = u.len();
-        for (r, x) in self.dx.iter_mut().enumerate() {
-            let bu: f64 = self.linearization.input[r * nc..(r + 1) * nc].iter().zip(u).map(|(b, u)| b * u).sum();
-            *x = bu - self.linearization.f[r];
+    /// The Newton correction at the last linearisation and its tensions: `S dx = -f + B u`.
+    pub(crate) fn correction(&mut self) -> &mut Vec<f64> {
+        let Linearization { f, pull, .. } = &self.linearization;
+        for ((x, pull), f) in self.dx.iter_mut().zip(pull).zip(f) {
+            *x = pull - f;
         }
         self.factor.solve_in_place(&mut self.dx);
         &mut self.dx
@@ -139,7 +138,7 @@ impl Stepper {
         let mut report = StepReport { iterations: 0, correction: f64::INFINITY, converged: false };
         while report.iterations < iterations_max && !report.converged {
             self.linearize(arm, &Motion::from(&*next), u, rates)?;
-            self.correction(u);
+            self.correction();
             let before = report.correction;
             report.correction = self.apply(&self.dx, rates, next);
             report.iterations += 1;

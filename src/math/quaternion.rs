@@ -10,13 +10,13 @@ use nalgebra::{Matrix3, Matrix3x4, Matrix4, Vector3, Vector4};
 pub type Quaternion = Vector4<f64>;
 
 /// Conjugate.
-#[inline]
+#[inline(always)]
 pub fn conjugate(p: &Quaternion) -> Quaternion {
     Quaternion::new(p[0], -p[1], -p[2], -p[3])
 }
 
 /// Matrix of the left product: `a * x = left(a) x`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn left(a: &Quaternion) -> Matrix4<f64> {
     let (w, x, y, z) = (a[0], a[1], a[2], a[3]);
@@ -29,7 +29,7 @@ pub fn left(a: &Quaternion) -> Matrix4<f64> {
 }
 
 /// Matrix of the right product: `x * a = right(a) x`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn right(a: &Quaternion) -> Matrix4<f64> {
     let (w, x, y, z) = (a[0], a[1], a[2], a[3]);
@@ -42,7 +42,7 @@ pub fn right(a: &Quaternion) -> Matrix4<f64> {
 }
 
 /// Product `a * b`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn product(a: &Quaternion, b: &Quaternion) -> Quaternion {
     Quaternion::new(
@@ -54,7 +54,7 @@ pub fn product(a: &Quaternion, b: &Quaternion) -> Quaternion {
 }
 
 /// `L(p)` with `L(p) x = vec(p* x)`: the body angular velocity is `2 L(p) p'`. Bilinear with `L(p) x = -L(x) p`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn body_rate(p: &Quaternion) -> Matrix3x4<f64> {
     let (w, x, y, z) = (p[0], p[1], p[2], p[3]);
@@ -66,7 +66,7 @@ pub fn body_rate(p: &Quaternion) -> Matrix3x4<f64> {
 }
 
 /// Rotation matrix in homogeneous form (body to base); a rotation times `|p|^2`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn rotation(p: &Quaternion) -> Matrix3<f64> {
     let (w, x, y, z) = (p[0], p[1], p[2], p[3]);
@@ -78,7 +78,7 @@ pub fn rotation(p: &Quaternion) -> Matrix3<f64> {
 }
 
 /// Derivatives of the three columns of [`rotation`]: `d (R(p) e_k) / dp`, each 3x4.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn rotation_jacobians(p: &Quaternion) -> [Matrix3x4<f64>; 3] {
     let (w, x, y, z) = (2.0 * p[0], 2.0 * p[1], 2.0 * p[2], 2.0 * p[3]);
@@ -102,14 +102,14 @@ pub fn rotation_jacobians(p: &Quaternion) -> [Matrix3x4<f64>; 3] {
 }
 
 /// Tangent `R(p) e_x` (homogeneous).
-#[inline]
+#[inline(always)]
 pub fn tangent(p: &Quaternion) -> Vector3<f64> {
     let (w, x, y, z) = (p[0], p[1], p[2], p[3]);
     Vector3::new(w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y))
 }
 
 /// The symmetric form `S(W)` with `p^T S(W) p = tr(W^T R(p))`; so `e . R(p) h = p^T S(e h^T) p` (Davenport's K matrix).
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn rotation_form(w: &Matrix3<f64>) -> Matrix4<f64> {
     let (a, b, c) = (w[(2, 1)] - w[(1, 2)], w[(0, 2)] - w[(2, 0)], w[(1, 0)] - w[(0, 1)]);
@@ -124,7 +124,7 @@ pub fn rotation_form(w: &Matrix3<f64>) -> Matrix4<f64> {
 }
 
 /// [`rotation_form`] of `W = e e_x^T`: `e . t(p) = p^T S p`.
-#[inline]
+#[inline(always)]
 #[rustfmt::skip]
 pub fn tangent_form(e: &Vector3<f64>) -> Matrix4<f64> {
     let (x, y, z) = (e[0], e[1], e[2]);

@@ -62,6 +62,11 @@ pub(crate) trait Columns: Copy {
     fn store(self, v: Self::Value, s: &mut [f64]);
     /// `a b + c`.
     fn multiply_add(self, a: Self::Value, b: Self::Value, c: Self::Value) -> Self::Value;
+    fn multiply(self, a: Self::Value, b: Self::Value) -> Self::Value;
+    fn divide(self, a: Self::Value, b: Self::Value) -> Self::Value;
+    fn square_root(self, a: Self::Value) -> Self::Value;
+    /// Of its numbers.
+    fn sum(self, a: Self::Value) -> f64;
 }
 
 #[derive(Clone, Copy)]
@@ -86,6 +91,22 @@ impl Columns for Scalars {
     fn multiply_add(self, a: f64, b: f64, c: f64) -> f64 {
         a * b + c
     }
+    #[inline(always)]
+    fn multiply(self, a: f64, b: f64) -> f64 {
+        a * b
+    }
+    #[inline(always)]
+    fn divide(self, a: f64, b: f64) -> f64 {
+        a / b
+    }
+    #[inline(always)]
+    fn square_root(self, a: f64) -> f64 {
+        a.sqrt()
+    }
+    #[inline(always)]
+    fn sum(self, a: f64) -> f64 {
+        a
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -109,5 +130,21 @@ impl<S: Simd> Columns for Lanes<S> {
     #[inline(always)]
     fn multiply_add(self, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
         self.0.mul_add_e_f64s(a, b, c)
+    }
+    #[inline(always)]
+    fn multiply(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.0.mul_f64s(a, b)
+    }
+    #[inline(always)]
+    fn divide(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.0.div_f64s(a, b)
+    }
+    #[inline(always)]
+    fn square_root(self, a: S::f64s) -> S::f64s {
+        self.0.sqrt_f64s(a)
+    }
+    #[inline(always)]
+    fn sum(self, a: S::f64s) -> f64 {
+        self.0.reduce_sum_f64s(a)
     }
 }

@@ -1,5 +1,6 @@
 //! The arm's constants as the equations need them: nodes, elements, holes.
 
+use super::legs::HoleGroup;
 use crate::config::{ArmConfig, ChordRule, Routing, StrainRule};
 use nalgebra::{Vector3, Vector4};
 use std::ops::Range;
@@ -39,6 +40,8 @@ pub struct Element {
     pub segment: usize,
     /// Its passages in [`Arm::passes`].
     pub passes: Range<usize>,
+    /// Their holes in groups, and the legs of a linearisation.
+    pub(super) groups: Range<usize>,
 }
 
 /// The arm: everything about it that does not move.
@@ -52,8 +55,10 @@ pub struct Arm {
     pub nodes: Vec<Node>,
     /// Elements 0..N.
     pub elements: Vec<Element>,
-    /// Cable passages, element by element.
+    /// Cable passages, element by element; the cables of an element follow one another.
     pub passes: Vec<HolePass>,
+    /// Their holes in groups, element by element.
+    pub(super) holes: Vec<HoleGroup>,
     /// Constant part of each cable's length: connectors passed (m).
     pub cable_constant: Vec<f64>,
     /// Elements that each cable runs through.
@@ -113,6 +118,7 @@ impl Arm {
                     damping: seg.damping_stiffness_s,
                     segment: s,
                     passes: 0..0,
+                    groups: 0..0,
                 });
             }
             before = connector;
@@ -133,7 +139,7 @@ impl Arm {
                 Routing::Through => 0..segment_elements[s].end,
             })
             .collect();
-        let mut passes = Vec::new();
+        let (mut passes, mut groups) = (Vec::new(), Vec::new());
         for (i, element) in elements.iter_mut().enumerate() {
             let start = passes.len();
             for (cable, range) in cable_elements.iter().enumerate() {
@@ -142,6 +148,9 @@ impl Arm {
                 }
             }
             element.passes = start..passes.len();
+            let first = groups.len();
+            groups.extend(HoleGroup::of(&passes[start..]));
+            element.groups = first..groups.len();
         }
         // Connectors are passed by `through` cables; a `local` cable starts behind its segment's connector.
         let cable_constant = cable_segment
@@ -157,6 +166,7 @@ impl Arm {
             nodes,
             elements,
             passes,
+            holes: groups,
             cable_constant,
             cable_elements,
             cable_segment,
@@ -169,11 +179,13 @@ impl Arm {
     }
 
     /// N.
+    #[inline(always)]
     pub fn node_count(&self) -> usize {
         self.nodes.len()
     }
 
     /// Number of cables.
+    #[inline(always)]
     pub fn cable_count(&self) -> usize {
         self.cable_segment.len()
     }
@@ -184,6 +196,7 @@ impl Arm {
     }
 
     /// Position and quaternion of node `i`, 0..=N.
+    #[inline(always)]
     pub fn pose(&self, q: &[f64], i: usize) -> (Vector3<f64>, Vector4<f64>) {
         if i == 0 {
             (self.base_position, self.base_quaternion)
@@ -194,6 +207,7 @@ impl Arm {
     }
 
     /// Rates of [`Arm::pose`]; zero at the base.
+    #[inline(always)]
     pub fn rate(&self, qd: &[f64], i: usize) -> (Vector3<f64>, Vector4<f64>) {
         if i == 0 {
             (Vector3::zeros(), Vector4::zeros())

@@ -1,12 +1,16 @@
 //! The terms of (1), their sum (7), and the total tangent S of (14) in block-tridiagonal form.
 
 use super::arm::Arm;
-use super::cables::{Leg, Span, Stiffness};
+use super::cables::{Span, Stiffness};
 use super::elastic::{self, Ends};
+use super::legs::{FORCE, LegGroup, Sums, WIDE};
 use super::{chord, inertia};
 use crate::math::block_tridiagonal::{BLOCK, BlockTridiagonal};
 use crate::math::quaternion::{body_rate, rotation_jacobians, tangent};
+use crate::math::simd::{Columns, Lanes, Scalars};
 use nalgebra::{Matrix3, Matrix3x4, Vector3, Vector4};
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
 
 /// Coordinates, rates, accelerations (7N each) and multipliers (4N) at which the equations are evaluated.
 #[derive(Debug, Clone, Copy)]
@@ -41,17 +45,20 @@ impl Rates {
     pub const STATIC: Self = Self { cg: 0.0, cb: 0.0 };
 }
 
-/// `S`, `f` and `B` at one iterate, multipliers scaled (see NOTATION).
+/// `S`, `f`, `B u` and `B` at one iterate, multipliers scaled (see NOTATION).
 #[derive(Debug, Clone)]
 pub struct Linearization {
     /// Total tangent (14), with `-d(G u)/dq`.
     pub tangent: BlockTridiagonal,
     /// `f` of (7), 11N: without the cables' forces.
     pub f: Vec<f64>,
-    /// `B` of (8), row-major 11N x cables; rows of the multipliers are zero.
-    pub input: Vec<f64>,
+    /// `B u` at the tensions that it was made at, 11N; rows of the multipliers are zero.
+    pub pull: Vec<f64>,
     /// Scaling of the multipliers: `lambda = scale * (their unknown)`.
     pub scale: f64,
+    /// What `B` is made of: legs of each element's cables, and whether its end's quaternion was flipped.
+    legs: Vec<LegGroup>,
+    sign: Vec<f64>,
 }
 
 impl Linearization {
@@ -61,13 +68,75 @@ impl Linearization {
         Self {
             tangent: BlockTridiagonal::zeros(n),
             f: vec![0.0; BLOCK * n],
-            input: vec![0.0; BLOCK * n * arm.cable_count()],
+            pull: vec![0.0; BLOCK * n],
             scale: 1.0,
+            legs: vec![LegGroup::ZERO; arm.holes.len()],
+            sign: vec![1.0; n],
+        }
+    }
+
+    /// Writes `B` of (8), row-major 11N x cables; rows of the multipliers are zero. Does not allocate.
+    pub fn input_into(&self, arm: &Arm, out: &mut [f64]) {
+        let nc = arm.cable_count();
+        self.for_each_force(arm, out, nc, |forces, cables, row| {
+            for (b, force) in row[cables].iter_mut().zip(forces) {
+                *b += force;
+            }
+        });
+    }
+
+    /// Writes `B T` of a matrix T with `columns` columns, row-major cables x columns. Does not allocate.
+    pub fn input_times_into(&self, arm: &Arm, t: &[f64], columns: usize, out: &mut [f64]) {
+        self.for_each_force(arm, out, columns, |forces, cables, row| {
+            for (force, t) in forces.iter().zip(t[cables.start * columns..].chunks_exact(columns)) {
+                for (b, t) in row.iter_mut().zip(t) {
+                    *b += force * t;
+                }
+            }
+        });
+    }
+
+    /// Clears `out` (11N rows of `columns`) and goes through the forces of unit tensions: what a few cables, one after the
+    /// other, give to one of its rows.
+    #[inline(always)]
+    fn for_each_force(
+        &self,
+        arm: &Arm,
+        out: &mut [f64],
+        columns: usize,
+        mut add: impl FnMut(&[f64], Range<usize>, &mut [f64]),
+    ) {
+        out.fill(0.0);
+        for (i, e) in arm.elements.iter().enumerate() {
+            let (first, end) = (arm.passes[e.passes.start].cable, arm.passes[e.passes.end - 1].cable + 1);
+            for (g, group) in self.legs[e.groups.clone()].iter().enumerate() {
+                let cables = first + WIDE * g..end.min(first + WIDE * (g + 1));
+                let mut force = |node: usize, c: usize, v: &[f64; WIDE], factor: f64| {
+                    let row = (BLOCK * node + c) * columns;
+                    let forces = v.map(|v| factor * v);
+                    add(&forces[..cables.len()], cables.clone(), &mut out[row..row + columns]);
+                };
+                let (direction, turn) = group.v.split_at(FORCE[0]);
+                for (c, v) in direction.iter().enumerate() {
+                    if i > 0 {
+                        force(i - 1, c, v, 1.0);
+                    }
+                    force(i, c, v, -1.0);
+                }
+                let (on_i, on_j) = turn.split_at(4);
+                for (c, (vi, vj)) in on_i.iter().zip(on_j).enumerate() {
+                    if i > 0 {
+                        force(i - 1, 3 + c, vi, 1.0);
+                    }
+                    force(i, 3 + c, vj, -self.sign[i]);
+                }
+            }
         }
     }
 }
 
 /// Quaternions of an element's ends with `p_j` flipped into the hemisphere of `p_i`; `sign` tells whether.
+#[inline(always)]
 pub(super) fn ends(arm: &Arm, q: &[f64], qd: &[f64], i: usize) -> (Ends, f64) {
     let (pi, pj) = (arm.pose(q, i).1, arm.pose(q, i + 1).1);
     let (pdi, pdj) = (arm.rate(qd, i).1, arm.rate(qd, i + 1).1);
@@ -75,22 +144,26 @@ pub(super) fn ends(arm: &Arm, q: &[f64], qd: &[f64], i: usize) -> (Ends, f64) {
     (Ends { pi, pj: sign * pj, pdi, pdj: sign * pdj }, sign)
 }
 
+#[inline(always)]
 fn add3(out: &mut [f64], at: usize, v: &Vector3<f64>, f: f64) {
     for k in 0..3 {
         out[at + k] += f * v[k];
     }
 }
 
+#[inline(always)]
 fn add4(out: &mut [f64], at: usize, v: &Vector4<f64>, f: f64) {
     for k in 0..4 {
         out[at + k] += f * v[k];
     }
 }
 
+#[inline(always)]
 fn vector4(s: &[f64], at: usize) -> Vector4<f64> {
     Vector4::new(s[at], s[at + 1], s[at + 2], s[at + 3])
 }
 
+#[inline(always)]
 fn vector3(s: &[f64], at: usize) -> Vector3<f64> {
     Vector3::new(s[at], s[at + 1], s[at + 2])
 }
@@ -242,35 +315,25 @@ impl Arm {
     /// Writes `G = -(d length/dq)^T`, row-major 7N x cables.
     pub fn cable_input_into(&self, q: &[f64], g: &mut [f64]) {
         g.fill(0.0);
+        let nc = self.cable_count();
         for (i, e) in self.elements.iter().enumerate() {
             let span = self.span(q, i);
             for pass in &self.passes[e.passes.clone()] {
-                self.add_input(7, i, pass.cable, &span.leg(pass), 1.0, g);
+                let leg = span.leg(pass);
+                let mut column = |node: usize, force: &Vector4<f64>, sign: f64| {
+                    let g = &mut g[7 * node * nc + pass.cable..];
+                    for k in 0..3 {
+                        g[k * nc] += sign * leg.direction[k];
+                    }
+                    for k in 0..4 {
+                        g[(3 + k) * nc] += sign * force[k];
+                    }
+                };
+                if i > 0 {
+                    column(i - 1, &leg.forces[0], 1.0);
+                }
+                column(i, &leg.forces[1], -1.0);
             }
-        }
-    }
-
-    /// Adds the column of one cable in element `i` to an input matrix with `stride` rows per node; `sign` flips the
-    /// quaternion of the element's end.
-    #[inline(always)]
-    fn add_input(&self, stride: usize, i: usize, cable: usize, leg: &Leg, sign: f64, g: &mut [f64]) {
-        let nc = self.cable_count();
-        let [fi, fj] = &leg.forces;
-        if i > 0 {
-            let g = &mut g[stride * (i - 1) * nc + cable..];
-            for k in 0..3 {
-                g[k * nc] += leg.direction[k];
-            }
-            for k in 0..4 {
-                g[(3 + k) * nc] += fi[k];
-            }
-        }
-        let g = &mut g[stride * i * nc + cable..];
-        for k in 0..3 {
-            g[k * nc] -= leg.direction[k];
-        }
-        for k in 0..4 {
-            g[(3 + k) * nc] -= sign * fj[k];
         }
     }
 
@@ -333,24 +396,15 @@ impl Arm {
         self.constraints_into(m.q, lower);
     }
 
-    /// `S` at (x, u), `f` at x and `B` at q, scaled by `out.scale`. Does not allocate.
+    /// `S` at (x, u), `f` at x, `B u` and `B` at q, scaled by `out.scale`. Does not allocate.
     ///
     /// The tangent holds `-d(G u)/dq`, so `S dx = -(f - B u)` is the exact Newton step at the tensions `u`, and
     /// `dx(u') = S^-1 (-f + B u')` is (11) for any other.
     pub fn linearize(&self, m: &Motion<'_>, u: &[f64], rates: Rates, out: &mut Linearization) {
-        let scale = out.scale;
-        let n = self.node_count();
-        out.tangent.clear();
-        out.f.fill(0.0);
-        out.input.fill(0.0);
-        for k in 0..n {
-            self.linearize_node(m, rates, k, out);
-        }
-        for i in 0..n {
-            self.linearize_element(m, u, rates, i, scale, out);
-        }
+        Arch::new().dispatch(Linearizing { arm: self, motion: m, u, rates, out });
     }
 
+    #[inline(always)]
     fn linearize_node(&self, m: &Motion<'_>, rates: Rates, k: usize, out: &mut Linearization) {
         let node = &self.nodes[k];
         let (at, row) = (7 * k, BLOCK * k);
@@ -378,7 +432,17 @@ impl Arm {
         }
     }
 
-    fn linearize_element(&self, m: &Motion<'_>, u: &[f64], rates: Rates, i: usize, s: f64, out: &mut Linearization) {
+    #[inline(always)]
+    fn linearize_element<W: Columns>(
+        &self,
+        w: W,
+        m: &Motion<'_>,
+        u: &[f64],
+        rates: Rates,
+        i: usize,
+        s: f64,
+        out: &mut Linearization,
+    ) {
         let e = &self.elements[i];
         let (ends, sign) = ends(self, m.q, m.qd, i);
         let (ri, rj) = (self.pose(m.q, i).0, self.pose(m.q, i + 1).0);
@@ -406,16 +470,17 @@ impl Arm {
         ij += cij;
         ji += cij;
         jj += cjj;
-        let mut k = Stiffness::zeros();
-        for pass in &self.passes[e.passes.clone()] {
-            let leg = span.leg(pass);
-            self.add_input(BLOCK, i, pass.cable, &leg, sign, &mut out.input);
-            let tension = u[pass.cable];
-            if tension != 0.0 {
-                k.add(tension, pass, &leg);
-            }
+        let (holes, legs) = (&self.holes[e.groups.clone()], &mut out.legs[e.groups.clone()]);
+        let (first, end) = (self.passes[e.passes.start].cable, self.passes[e.passes.end - 1].cable + 1);
+        LegGroup::fill(w, &span, holes, &u[first..end], legs);
+        out.sign[i] = sign;
+        let k = Stiffness::new(&span, &Sums::of(w, holes, legs));
+        if i > 0 {
+            add3(&mut out.pull, row_j - BLOCK, &k.pull, 1.0);
+            add4(&mut out.pull, row_j - BLOCK + 3, &k.turn[0], 1.0);
         }
-        k.finish(&span);
+        add3(&mut out.pull, row_j, &k.pull, -1.0);
+        add4(&mut out.pull, row_j + 3, &k.turn[1], -sign);
         ii += k.pp[0];
         ij += k.pp[1];
         ji += k.pp[1].transpose();
@@ -456,6 +521,39 @@ impl Arm {
                 upper[(c, 7 + c)] -= s;
             }
             upper.add_transposed(3, 7, &di, s);
+        }
+    }
+}
+
+/// [`Arm::linearize`] with the processor's vectors: everything below it is inlined, so the compiler may use them.
+struct Linearizing<'a> {
+    arm: &'a Arm,
+    motion: &'a Motion<'a>,
+    u: &'a [f64],
+    rates: Rates,
+    out: &'a mut Linearization,
+}
+
+impl WithSimd for Linearizing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { arm, motion, u, rates, out } = self;
+        let (n, scale) = (arm.node_count(), out.scale);
+        out.tangent.clear();
+        out.f.fill(0.0);
+        out.pull.fill(0.0);
+        for k in 0..n {
+            arm.linearize_node(motion, rates, k, out);
+        }
+        for i in 0..n {
+            // Vectors that do not divide a group would read past it.
+            if WIDE % S::F64_LANES == 0 {
+                arm.linearize_element(Lanes(simd), motion, u, rates, i, scale, out);
+            } else {
+                arm.linearize_element(Scalars, motion, u, rates, i, scale, out);
+            }
         }
     }
 }

@@ -10,6 +10,7 @@ use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 
 impl Arm {
     /// The chord that the rule gives between two quaternions of an element (m, base frame).
+    #[inline(always)]
     pub(super) fn chord_vector(&self, e: &Element, pi: &Vector4<f64>, pj: &Vector4<f64>) -> Vector3<f64> {
         let l = e.length;
         match self.chord {
@@ -23,6 +24,7 @@ impl Arm {
 }
 
 /// `dpsi/dp_i`, `dpsi/dp_j`; `dpsi/dr_i = -I`, `dpsi/dr_j = I`.
+#[inline(always)]
 pub(super) fn jacobian(
     rule: ChordRule,
     e: &Element,
@@ -44,6 +46,7 @@ pub(super) fn jacobian(
 }
 
 /// `d^2 (mu . psi)` in the blocks `ii`, `ij = ji`, `jj` of the two quaternions.
+#[inline(always)]
 pub(super) fn hessian(
     rule: ChordRule,
     e: &Element,

@@ -8,17 +8,20 @@ use crate::math::quaternion::{body_rate, right};
 use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 
 /// `4 L(p)^T J L(p) x`.
+#[inline(always)]
 pub(super) fn mass_times(node: &Node, p: &Vector4<f64>, x: &Vector4<f64>) -> Vector4<f64> {
     let l = body_rate(p);
     4.0 * (l.transpose() * node.inertia.component_mul(&(l * x)))
 }
 
 /// `8 L(p')^T J L(p) p'`.
+#[inline(always)]
 pub(super) fn gyroscopic(node: &Node, p: &Vector4<f64>, pd: &Vector4<f64>) -> Vector4<f64> {
     8.0 * (body_rate(pd).transpose() * node.inertia.component_mul(&(body_rate(p) * pd)))
 }
 
 /// Quaternion block of `d(M q'' + C + alpha M q')/dq + cg d/dq' + cb d/dq''`.
+#[inline(always)]
 pub(super) fn tangent(
     node: &Node,
     p: &Vector4<f64>,
@@ -53,6 +56,7 @@ pub(super) fn tangent(
     a
 }
 
+#[inline(always)]
 fn pure(v: &Vector3<f64>) -> Vector4<f64> {
     Vector4::new(0.0, v[0], v[1], v[2])
 }

@@ -5,7 +5,7 @@
 //! never allocates. `NOTATION.md` beside this file lists the letters.
 //!
 //! `arm` is fixed after set-up, `state` changes each step, `assembly` fills the scratch that solvers own. One file per
-//! term of the equation: `inertia`, `elastic`, `chord`, `cables`.
+//! term of the equation: `inertia`, `elastic`, `chord`, `cables` (with `legs`, all cables of an element at once).
 
 mod arm;
 mod assembly;
@@ -13,6 +13,7 @@ mod cables;
 mod chord;
 mod elastic;
 mod inertia;
+mod legs;
 mod outputs;
 mod state;
 

@@ -62,7 +62,7 @@ pub fn tip_start(
         if linear.is_err() || iterations > ITERATIONS_MAX || !distance.is_finite() {
             return Err(StartError::PoseNotReached { distance, iterations });
         }
-        stepper.affine_map_into(&mut map);
+        stepper.affine_map_into(arm, &mut map);
         quadratic.build(arm, state, Rates::STATIC, &map, &goal, 1.0, &still, &still);
         let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[] };
         wanted.copy_from_slice(&u);

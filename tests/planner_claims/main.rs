@@ -118,7 +118,7 @@ fn quadratic(bench: &Bench, planner: &Planner, goal: &Goal<'_>) -> (Quadratic, A
     let rates = Scheme::new(bench.config.rho_inf).rates(planner.config().lookahead_s);
     let (mut stepper, mut map) = (Stepper::new(&bench.arm), AffineMap::new(&bench.arm));
     stepper.linearize(&bench.arm, &Motion::from(planner.planned()), planner.tensions(), rates).unwrap();
-    stepper.affine_map_into(&mut map);
+    stepper.affine_map_into(&bench.arm, &mut map);
     let mut quadratic = Quadratic::new(&bench.arm);
     let change = vec![1e4; bench.u.len()];
     quadratic.build(&bench.arm, planner.planned(), rates, &map, goal, 1.0, &change, &bench.u);

@@ -22,7 +22,7 @@ impl SwarmCase {
         let rates = Scheme::new(bench.config.rho_inf).rates(0.1);
         let (mut stepper, mut map) = (Stepper::new(&bench.arm), AffineMap::new(&bench.arm));
         stepper.linearize(&bench.arm, &Motion::from(&bench.state), &bench.u, rates).unwrap();
-        stepper.affine_map_into(&mut map);
+        stepper.affine_map_into(&bench.arm, &mut map);
         let mut quadratic = Quadratic::new(&bench.arm);
         quadratic.build(&bench.arm, &bench.state, rates, &map, &goal, 1.0, &[1e4; 24], &bench.u);
         let n = bench.arm.node_count();

@@ -392,7 +392,7 @@ impl Planner {
             self.effective[i] = self.u[i] + inputs.disturbance.get(i).copied().unwrap_or(0.0);
         }
         self.stepper.linearize(&self.arm, &Motion::from(next), &self.effective, rates)?;
-        self.stepper.affine_map_into(&mut self.map);
+        self.stepper.affine_map_into(&self.arm, &mut self.map);
         Ok(())
     }
 
