@@ -46,6 +46,38 @@ impl Block {
         }
     }
 
+    /// Writes `factor * m` with its corner at (row, column).
+    #[inline(always)]
+    pub fn set<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        column: usize,
+        m: &nalgebra::SMatrix<f64, R, C>,
+        factor: f64,
+    ) {
+        for r in 0..R {
+            for c in 0..C {
+                self.0[row + r][column + c] = factor * m[(r, c)];
+            }
+        }
+    }
+
+    /// Writes `factor * m^T` with its corner at (row, column).
+    #[inline(always)]
+    pub fn set_transposed<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        column: usize,
+        m: &nalgebra::SMatrix<f64, R, C>,
+        factor: f64,
+    ) {
+        for r in 0..R {
+            for c in 0..C {
+                self.0[row + c][column + r] = factor * m[(r, c)];
+            }
+        }
+    }
+
     /// Adds `factor * m^T` with its corner at (row, column).
     #[inline(always)]
     pub fn add_transposed<const R: usize, const C: usize>(

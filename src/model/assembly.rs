@@ -5,7 +5,7 @@ use super::cables::{Span, Stiffness};
 use super::elastic::{self, Ends};
 use super::legs::{FORCE, LegGroup, Sums, WIDE};
 use super::{chord, inertia};
-use crate::math::block_tridiagonal::{BLOCK, BlockTridiagonal};
+use crate::math::block_tridiagonal::{BLOCK, Block, BlockTridiagonal};
 use crate::math::quaternion::{body_rate, rotation_jacobians, tangent};
 use crate::math::simd::{Columns, Lanes, Scalars};
 use nalgebra::{Matrix3, Matrix3x4, Vector3, Vector4};
@@ -503,24 +503,25 @@ impl Arm {
             d.add(0, 3, &k.rp[0], 1.0);
             d.add_transposed(3, 0, &k.rp[0], 1.0);
             d.add(3, 3, &ii, 1.0);
+            // Every number of these two that is not zero is written here, and only here.
             let lower = &mut out.tangent.lower[i];
-            lower.add(0, 0, &k.rr, -1.0);
-            lower.add(0, 3, &k.rp[0], -1.0);
-            lower.add_transposed(3, 0, &k.rp[1], -sign);
-            lower.add(3, 3, &ji, sign);
+            lower.set(0, 0, &k.rr, -1.0);
+            lower.set(0, 3, &k.rp[0], -1.0);
+            lower.set_transposed(3, 0, &k.rp[1], -sign);
+            lower.set(3, 3, &ji, sign);
             for c in 0..3 {
-                lower[(7 + c, c)] -= s;
+                lower[(7 + c, c)] = -s;
             }
-            lower.add(7, 3, &di, s);
+            lower.set(7, 3, &di, s);
             let upper = &mut out.tangent.upper[i - 1];
-            upper.add(0, 0, &k.rr, -1.0);
-            upper.add_transposed(3, 0, &k.rp[0], -1.0);
-            upper.add(0, 3, &k.rp[1], -sign);
-            upper.add(3, 3, &ij, sign);
+            upper.set(0, 0, &k.rr, -1.0);
+            upper.set_transposed(3, 0, &k.rp[0], -1.0);
+            upper.set(0, 3, &k.rp[1], -sign);
+            upper.set(3, 3, &ij, sign);
             for c in 0..3 {
-                upper[(c, 7 + c)] -= s;
+                upper[(c, 7 + c)] = -s;
             }
-            upper.add_transposed(3, 7, &di, s);
+            upper.set_transposed(3, 7, &di, s);
         }
     }
 }
@@ -541,7 +542,7 @@ impl WithSimd for Linearizing<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { arm, motion, u, rates, out } = self;
         let (n, scale) = (arm.node_count(), out.scale);
-        out.tangent.clear();
+        out.tangent.diagonal.fill(Block::ZERO);
         out.f.fill(0.0);
         out.pull.fill(0.0);
         for k in 0..n {

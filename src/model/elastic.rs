@@ -111,16 +111,37 @@ fn terms_vector_part(e: &Element, ends: &Ends, cg: f64) -> Terms {
     let m = k.component_mul(&c) + kd.component_mul(&cd);
     let m = Vector4::new(0.0, m[0], m[1], m[2]);
     let total = k + cg * kd;
-    let d: [Matrix3x4<f64>; 2] =
-        std::array::from_fn(|s| Matrix3x4::from_fn(|r, c| total[r] * a[s][(r, c)] + kd[r] * ad[s][(r, c)]));
+    // Loops, for closures that are not inlined would miss the processor's vectors.
+    let mut d = [Matrix3x4::zeros(); 2];
+    for s in 0..2 {
+        for c in 0..4 {
+            for r in 0..3 {
+                d[s][(r, c)] = total[r] * a[s][(r, c)] + kd[r] * ad[s][(r, c)];
+            }
+        }
+    }
     let mixed = right(&m);
-    let block = |p: usize, s: usize| {
-        Matrix4::from_fn(|r, c| a[p][(0, r)] * d[s][(0, c)] + a[p][(1, r)] * d[s][(1, c)] + a[p][(2, r)] * d[s][(2, c)])
-    };
     Terms {
         force: [product(&ends.pj, &conjugate(&m)), product(&ends.pi, &m)],
-        tangent: [block(0, 0), block(0, 1) + mixed.transpose(), block(1, 0) + mixed, block(1, 1)],
+        tangent: [
+            transposed_product(&a[0], &d[0]),
+            transposed_product(&a[0], &d[1]) + mixed.transpose(),
+            transposed_product(&a[1], &d[0]) + mixed,
+            transposed_product(&a[1], &d[1]),
+        ],
     }
+}
+
+/// `a^T b`.
+#[inline(always)]
+fn transposed_product(a: &Matrix3x4<f64>, b: &Matrix3x4<f64>) -> Matrix4<f64> {
+    let mut m = Matrix4::zeros();
+    for c in 0..4 {
+        for r in 0..4 {
+            m[(r, c)] = a[(0, r)] * b[(0, c)] + a[(1, r)] * b[(1, c)] + a[(2, r)] * b[(2, c)];
+        }
+    }
+    m
 }
 
 /// 4x4 blocks `[ii, ij, ji, jj]` of the tangent of both forces, rates weighted with `cg`.
