@@ -133,14 +133,16 @@ fn the_total_tangent_agrees_in_a_random_direction() {
                 }
                 let mut y = vec![0.0; BLOCK * n];
                 lin.tangent.multiply_into(&x, &mut y);
-                let mut b = vec![0.0; BLOCK * n * nc];
+                let mut b = vec![0.0; 7 * n * nc];
                 lin.input_into(&arm, &mut b);
                 let (mut got, mut f) = (vec![0.0; BLOCK * n], vec![0.0; BLOCK * n]);
                 for i in 0..n {
                     for c in 0..BLOCK {
                         let (to, factor) = if c < 7 { (7 * i + c, 1.0) } else { (7 * n + 4 * i + c - 7, 1.0 / scale) };
                         got[to] = y[BLOCK * i + c] * factor;
-                        let bu: f64 = (0..nc).map(|j| b[(BLOCK * i + c) * nc + j] * u[j]).sum();
+                        // Constraints have no row in B.
+                        let row = if c < 7 { &b[(7 * i + c) * nc..(7 * i + c + 1) * nc] } else { &[][..] };
+                        let bu: f64 = row.iter().zip(&u).map(|(b, u)| b * u).sum();
                         f[to] = (lin.f[BLOCK * i + c] - bu) * factor;
                     }
                 }

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use sinew::config::{ArmConfig, Config, ObserverConfig, Routing};
 use sinew::estimator::{CableSpace, Observer, StartError};
 use sinew::integrator::{Scheme, Stepper, consistent_start, equilibrium};
+use sinew::math::block_tridiagonal::BLOCK;
 use sinew::model::{Arm, State};
 
 #[global_allocator]
@@ -157,9 +158,13 @@ fn the_low_rank_correction_equals_a_dense_solve_of_the_corrected_tangent() {
         stepper.linearization.tangent.multiply_into(&e, &mut column);
         dense.set_column(k, &DVector::from_vec(column));
     }
-    let mut b = vec![0.0; size * nc];
-    stepper.linearization.input_into(&arm, &mut b);
-    let b = DMatrix::from_row_slice(size, nc, &b);
+    let mut rows = vec![0.0; 7 * arm.node_count() * nc];
+    stepper.linearization.input_into(&arm, &mut rows);
+    // Constraints have no row.
+    let b = DMatrix::from_fn(size, nc, |r, c| {
+        let (node, row) = (r / BLOCK, r % BLOCK);
+        if row < 7 { rows[(7 * node + row) * nc + c] } else { 0.0 }
+    });
     let t = DMatrix::from_fn(nc, n, |c, i| space.row(c)[i]);
     let v = &b * t;
     dense += &v * DMatrix::from_diagonal(&DVector::from_vec(gain)) * v.transpose();

@@ -149,20 +149,29 @@ fn the_left_side_less_the_input_is_the_residual() {
         let l = linearize(arm, state, u, rates);
         let want = moved_residual(arm, state, u, rates, 0, 0.0);
         let size = want.iter().fold(0.0f64, |a, v| a.max(v.abs()));
-        let mut b = vec![0.0; want.len() * u.len()];
+        let mut b = vec![0.0; 7 * want.len() / BLOCK * u.len()];
         l.input_into(arm, &mut b);
         // A product with B is B's: sum and difference of all cables.
         let t: Vec<f64> = (0..u.len()).flat_map(|c| [1.0, 1.0 - 2.0 * (c % 2) as f64]).collect();
-        let mut bt = vec![0.0; 2 * want.len()];
+        let mut bt = vec![0.0; 2 * 7 * want.len() / BLOCK];
         l.input_times_into(arm, &t, 2, &mut bt);
+        let mut force = vec![0.0; 7 * want.len() / BLOCK];
+        l.force_into(arm, u, &mut force);
         for (r, want) in want.iter().enumerate() {
-            let row = &b[r * u.len()..(r + 1) * u.len()];
-            for (k, got) in bt[2 * r..2 * r + 2].iter().enumerate() {
+            if r % BLOCK >= 7 {
+                assert!((l.f[r] - want).abs() <= 1e-12 * size, "{what} row {r}: {} for {want}", l.f[r]);
+                assert_eq!(l.pull[r], 0.0, "{what} row {r}: a constraint");
+                continue;
+            }
+            let at = 7 * (r / BLOCK) + r % BLOCK;
+            let row = &b[at * u.len()..(at + 1) * u.len()];
+            for (k, got) in bt[2 * at..2 * at + 2].iter().enumerate() {
                 let want: f64 = row.iter().zip(t[k..].iter().step_by(2)).map(|(b, t)| b * t).sum();
                 assert!((got - want).abs() <= 1e-12, "{what} row {r}: {got} for {want}");
             }
-            let input: f64 = b[r * u.len()..(r + 1) * u.len()].iter().zip(u).map(|(b, u)| b * u).sum();
+            let input: f64 = row.iter().zip(u).map(|(b, u)| b * u).sum();
             assert!((l.f[r] - input - want).abs() <= 1e-12 * size, "{what} row {r}: {} for {want}", l.f[r] - input);
+            assert!((force[at] - input).abs() <= 1e-12 * size, "{what} row {r}: {} for {input}", force[at]);
             assert!((l.pull[r] - input).abs() <= 1e-12 * size, "{what} row {r}: {} for {input}", l.pull[r]);
         }
     });

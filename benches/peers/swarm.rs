@@ -22,7 +22,7 @@ const RADIUS_M: f64 = 0.1;
 /// Body points this near to a ball take part (m), as in the planner.
 const REACH_M: f64 = 0.06;
 /// Rows of one node in the affine map.
-const BLOCK: usize = sinew::math::block_tridiagonal::BLOCK;
+const COORDINATES: usize = sinew::math::block_tridiagonal::COORDINATES;
 
 struct Loaded {
     case: Case,
@@ -127,7 +127,7 @@ fn linearize(arm: &Arm, state: &State, map: &AffineMap, rows: &[Proximity]) -> (
                 continue;
             }
             let tangent: Matrix3x4<f64> = rotation_jacobians(&arm.pose(&state.q, node).1)[0];
-            let at = BLOCK * (node - 1);
+            let at = COORDINATES * (node - 1);
             for c in 0..3 {
                 let factors = [(wr, at + c)].into_iter().chain((0..4).map(|p| (wt * tangent[(c, p)], at + 3 + p)));
                 for (f, r) in factors {

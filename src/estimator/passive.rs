@@ -10,7 +10,7 @@ use super::cable_space::CableSpace;
 use super::health::Health;
 use crate::config::{ArmConfig, ObserverConfig};
 use crate::integrator::{Scheme, Stepper};
-use crate::math::block_tridiagonal::BLOCK;
+use crate::math::block_tridiagonal::{BLOCK, COORDINATES};
 use crate::math::dense;
 use crate::model::{Arm, Motion, State};
 
@@ -132,9 +132,9 @@ impl Observer {
             w: vec![0.0; angles],
             fading: vec![0.0; angles],
             effective: vec![0.0; nc],
-            v: vec![0.0; BLOCK * n * angles],
-            sv: vec![0.0; BLOCK * n * angles],
-            dense: vec![angles; n],
+            v: vec![0.0; COORDINATES * n * angles],
+            sv: vec![0.0; COORDINATES * n * angles],
+            dense: vec![0; n],
             small_a: vec![0.0; angles * angles],
             small_b: vec![0.0; angles],
             dx: vec![0.0; BLOCK * n],
@@ -245,11 +245,12 @@ impl Observer {
             self.space.add_tensions(&self.w, &mut self.effective);
             self.stepper.linearize(&self.arm, &Motion::from(&self.next), &self.effective, rates).ok()?;
             self.moment_panel();
-            // (S + V C V^T) dx = r: dx = s - S^-1 V (C^-1 + V^T S^-1 V)^-1 V^T s, s = S^-1 r.
+            // (S + V C V^T) dx = r: dx = s - S^-1 V m, m = (C^-1 + V^T S^-1 V)^-1 V^T s, s = S^-1 r. As V = B T, that is
+            // the correction for tensions less by T m.
             let s = self.stepper.correction();
             self.small_a.fill(0.0);
             self.small_b.fill(0.0);
-            for (r, x) in s.iter().enumerate() {
+            for (r, x) in s.chunks_exact(BLOCK).flat_map(|node| &node[..COORDINATES]).enumerate() {
                 let (v, sv) = (&self.v[r * n..(r + 1) * n], &self.sv[r * n..(r + 1) * n]);
                 for i in 0..n {
                     if v[i] != 0.0 {
@@ -266,11 +267,9 @@ impl Observer {
             if !dense::solve_in_place(n, &mut self.small_a, &mut self.small_b) {
                 return None;
             }
-            for (r, x) in s.iter().enumerate() {
-                let sv = &self.sv[r * n..(r + 1) * n];
-                self.dx[r] = x - sv.iter().zip(&self.small_b).map(|(s, b)| s * b).sum::<f64>();
-            }
-            let correction = self.stepper.apply(&self.dx, rates, &mut self.next);
+            self.small_b.iter_mut().for_each(|m| *m = -*m);
+            self.space.add_tensions(&self.small_b, &mut self.effective);
+            let correction = self.stepper.advance(&self.arm, &self.effective, rates, &mut self.next);
             iterations += 1;
             if !correction.is_finite() || correction > 1e3 {
                 return None;

@@ -5,7 +5,7 @@
 //! solve for the tensions alone, from the straight arm, finds other branches of the equilibrium.
 
 use super::passive::Observer;
-use crate::math::block_tridiagonal::BLOCK;
+use crate::math::block_tridiagonal::{BLOCK, COORDINATES};
 use crate::math::dense;
 use crate::model::{Motion, Rates};
 
@@ -117,12 +117,13 @@ impl Observer {
             self.moment_panel();
             let dx = self.stepper.correction();
             // z falls by V^T dx: V^T (dx + S^-1 V dbeta) = z.
+            let rows = self.v.len() / n;
             for i in 0..n {
-                let along: f64 = (0..dx.len()).map(|r| self.v[r * n + i] * dx[r]).sum();
+                let along: f64 =
+                    (0..rows).map(|r| self.v[r * n + i] * dx[r / COORDINATES * BLOCK + r % COORDINATES]).sum();
                 self.small_b[i] = self.z[i] - along;
                 for k in 0..n {
-                    self.small_a[i * n + k] =
-                        (0..dx.len()).map(|r| self.v[r * n + i] * self.sv[r * n + k]).sum::<f64>();
+                    self.small_a[i * n + k] = (0..rows).map(|r| self.v[r * n + i] * self.sv[r * n + k]).sum::<f64>();
                 }
                 // Not observable: its beta stays.
                 if (0..n).all(|k| self.small_a[i * n + k] == 0.0) {
@@ -132,10 +133,9 @@ impl Observer {
             if !dense::solve_in_place(n, &mut self.small_a, &mut self.small_b) {
                 return Err(StartError::Statics);
             }
-            for (r, x) in dx.iter_mut().enumerate() {
-                *x += self.sv[r * n..(r + 1) * n].iter().zip(&self.small_b).map(|(s, b)| s * b).sum::<f64>();
-            }
-            let norm = (0..dx.len()).filter(|r| r % BLOCK < 7).map(|r| dx[r] * dx[r]).sum::<f64>().sqrt();
+            self.space.add_tensions(&self.small_b, &mut self.effective);
+            let dx = self.stepper.correction_for(&self.arm, &self.effective);
+            let norm = dx.chunks_exact(BLOCK).flat_map(|node| &node[..COORDINATES]).map(|x| x * x).sum::<f64>().sqrt();
             if !norm.is_finite() {
                 return Err(StartError::Statics);
             }

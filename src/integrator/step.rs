@@ -1,20 +1,20 @@
 //! One implicit step: Newton on `x = [q; lambda]`, and the affine map `x = zeta1 + zeta2 u` (11), (13).
 
 use super::scheme::Scheme;
-use crate::math::block_tridiagonal::{BLOCK, Factor, Singular};
+use crate::math::block_tridiagonal::{BLOCK, COORDINATES, Factor, Singular};
 use crate::model::{Arm, Linearization, Motion, Rates, State};
 
-/// The correction of an iterate as a function of the tensions: `dx(u) = x0 + x1 u` (multipliers scaled).
+/// The correction of an iterate's coordinates as a function of the tensions: `dq(u) = x0 + x1 u`.
 #[derive(Debug, Clone)]
 pub struct AffineMap {
-    /// `-S^-1 f`, 11N.
+    /// Coordinates of `-S^-1 f`, 7N.
     pub x0: Vec<f64>,
-    /// `S^-1 B`, row-major 11N x cables.
+    /// Coordinates of `S^-1 B`, row-major 7N x cables.
     pub x1: Vec<f64>,
     /// Number of cables.
     pub cables: usize,
-    /// Cables, from the first on, that act on a node or before it: the others' columns are zero in a forward sweep.
-    leading: Vec<usize>,
+    /// First cable that acts on a node or behind it.
+    first: Vec<usize>,
 }
 
 /// How a step ended.
@@ -47,6 +47,7 @@ pub struct Stepper {
     /// Factorisation of the tangent.
     pub factor: Factor,
     dx: Vec<f64>,
+    force: Vec<f64>,
 }
 
 /// Stop of the Newton iteration: `|dq| < TOLERANCE` (design section 12).
@@ -59,6 +60,7 @@ impl Stepper {
             linearization: Linearization::new(arm),
             factor: Factor::new(arm.node_count()),
             dx: vec![0.0; BLOCK * arm.node_count()],
+            force: vec![0.0; COORDINATES * arm.node_count()],
         }
     }
 
@@ -74,12 +76,15 @@ impl Stepper {
 
     /// The affine map at the last linearisation. Does not allocate.
     pub fn affine_map_into(&mut self, arm: &Arm, map: &mut AffineMap) {
-        for (x, f) in map.x0.iter_mut().zip(&self.linearization.f) {
+        for (x, f) in self.dx.iter_mut().zip(&self.linearization.f) {
             *x = -f;
         }
-        self.factor.solve_in_place(&mut map.x0);
+        self.factor.solve_in_place(&mut self.dx);
+        for (x, dx) in map.x0.chunks_exact_mut(COORDINATES).zip(self.dx.chunks_exact(BLOCK)) {
+            x.copy_from_slice(&dx[..COORDINATES]);
+        }
         self.linearization.input_into(arm, &mut map.x1);
-        self.factor.solve_panel_in_place(map.cables, &map.leading, &mut map.x1);
+        self.factor.solve_panel_in_place(map.cables, &map.first, &mut map.x1);
     }
 
     /// Adds a correction `dx` (11N, multipliers scaled) to a state and returns the norm of its coordinates' part.
@@ -101,14 +106,34 @@ impl Stepper {
         norm.sqrt()
     }
 
-    /// The Newton correction at the last linearisation and its tensions: `S dx = -f + B u`.
-    pub(crate) fn correction(&mut self) -> &mut Vec<f64> {
+    /// The Newton correction (11N, multipliers scaled) at the last linearisation and its tensions: `S dx = -f + B u`. Does
+    /// not allocate.
+    pub fn correction(&mut self) -> &mut Vec<f64> {
         let Linearization { f, pull, .. } = &self.linearization;
         for ((x, pull), f) in self.dx.iter_mut().zip(pull).zip(f) {
             *x = pull - f;
         }
         self.factor.solve_in_place(&mut self.dx);
         &mut self.dx
+    }
+
+    /// [`Stepper::correction`] for other tensions than those of the last linearisation. Does not allocate.
+    pub fn correction_for(&mut self, arm: &Arm, u: &[f64]) -> &mut Vec<f64> {
+        self.linearization.force_into(arm, u, &mut self.force);
+        let rows = self.dx.chunks_exact_mut(BLOCK).zip(self.linearization.f.chunks_exact(BLOCK));
+        for ((x, f), force) in rows.zip(self.force.chunks_exact(COORDINATES)) {
+            for c in 0..BLOCK {
+                x[c] = if c < COORDINATES { force[c] - f[c] } else { -f[c] };
+            }
+        }
+        self.factor.solve_in_place(&mut self.dx);
+        &mut self.dx
+    }
+
+    /// Moves a state by [`Stepper::correction_for`] and returns the norm of its coordinates' part. Does not allocate.
+    pub fn advance(&mut self, arm: &Arm, u: &[f64], rates: Rates, state: &mut State) -> f64 {
+        self.correction_for(arm, u);
+        self.apply(&self.dx, rates, state)
     }
 
     /// Integrates one step of `eta` seconds with constant tensions at its end. Does not allocate.
@@ -158,24 +183,17 @@ impl Stepper {
 impl AffineMap {
     /// Room for an arm. Allocates.
     pub fn new(arm: &Arm) -> Self {
-        let (n, cables) = (BLOCK * arm.node_count(), arm.cable_count());
-        // A cable's first element pulls at the node before it too.
-        let leading = (0..arm.node_count())
-            .map(|i| (0..cables).rev().find(|&c| arm.cable_elements[c].start <= i + 1).map_or(0, |c| c + 1))
+        let (n, cables) = (COORDINATES * arm.node_count(), arm.cable_count());
+        // Node i is the end of element i, and a cable's last element ends at the last node that it pulls at.
+        let first = (0..arm.node_count())
+            .map(|i| (0..cables).find(|&c| arm.cable_elements[c].end > i).unwrap_or(cables))
             .collect();
-        Self { x0: vec![0.0; n], x1: vec![0.0; n * cables], cables, leading }
+        Self { x0: vec![0.0; n], x1: vec![0.0; n * cables], cables, first }
     }
 
     /// Row `r` of `x1`.
     pub fn row(&self, r: usize) -> &[f64] {
         &self.x1[r * self.cables..(r + 1) * self.cables]
-    }
-
-    /// `dx(u)` into the caller's buffer.
-    pub fn evaluate_into(&self, u: &[f64], dx: &mut [f64]) {
-        for (r, d) in dx.iter_mut().enumerate() {
-            *d = self.x0[r] + self.row(r).iter().zip(u).map(|(a, b)| a * b).sum::<f64>();
-        }
     }
 }
 

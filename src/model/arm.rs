@@ -184,6 +184,12 @@ impl Arm {
         self.nodes.len()
     }
 
+    /// Cables that pass an element.
+    #[inline(always)]
+    pub(super) fn cables(&self, e: &Element) -> Range<usize> {
+        self.passes[e.passes.start].cable..self.passes[e.passes.end - 1].cable + 1
+    }
+
     /// Number of cables.
     #[inline(always)]
     pub fn cable_count(&self) -> usize {

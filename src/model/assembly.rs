@@ -3,14 +3,13 @@
 use super::arm::Arm;
 use super::cables::{Span, Stiffness};
 use super::elastic::{self, Ends};
-use super::legs::{FORCE, LegGroup, Sums, WIDE};
+use super::legs::{LegGroup, Sums, WIDE};
 use super::{chord, inertia};
 use crate::math::block_tridiagonal::{BLOCK, Block, BlockTridiagonal};
 use crate::math::quaternion::{body_rate, rotation_jacobians, tangent};
 use crate::math::simd::{Columns, Lanes, Scalars};
 use nalgebra::{Matrix3, Matrix3x4, Vector3, Vector4};
 use pulp::{Arch, Simd, WithSimd};
-use std::ops::Range;
 
 /// Coordinates, rates, accelerations (7N each) and multipliers (4N) at which the equations are evaluated.
 #[derive(Debug, Clone, Copy)]
@@ -57,8 +56,8 @@ pub struct Linearization {
     /// Scaling of the multipliers: `lambda = scale * (their unknown)`.
     pub scale: f64,
     /// What `B` is made of: legs of each element's cables, and whether its end's quaternion was flipped.
-    legs: Vec<LegGroup>,
-    sign: Vec<f64>,
+    pub(super) legs: Vec<LegGroup>,
+    pub(super) sign: Vec<f64>,
 }
 
 impl Linearization {
@@ -72,65 +71,6 @@ impl Linearization {
             scale: 1.0,
             legs: vec![LegGroup::ZERO; arm.holes.len()],
             sign: vec![1.0; n],
-        }
-    }
-
-    /// Writes `B` of (8), row-major 11N x cables; rows of the multipliers are zero. Does not allocate.
-    pub fn input_into(&self, arm: &Arm, out: &mut [f64]) {
-        let nc = arm.cable_count();
-        self.for_each_force(arm, out, nc, |forces, cables, row| {
-            for (b, force) in row[cables].iter_mut().zip(forces) {
-                *b += force;
-            }
-        });
-    }
-
-    /// Writes `B T` of a matrix T with `columns` columns, row-major cables x columns. Does not allocate.
-    pub fn input_times_into(&self, arm: &Arm, t: &[f64], columns: usize, out: &mut [f64]) {
-        self.for_each_force(arm, out, columns, |forces, cables, row| {
-            for (force, t) in forces.iter().zip(t[cables.start * columns..].chunks_exact(columns)) {
-                for (b, t) in row.iter_mut().zip(t) {
-                    *b += force * t;
-                }
-            }
-        });
-    }
-
-    /// Clears `out` (11N rows of `columns`) and goes through the forces of unit tensions: what a few cables, one after the
-    /// other, give to one of its rows.
-    #[inline(always)]
-    fn for_each_force(
-        &self,
-        arm: &Arm,
-        out: &mut [f64],
-        columns: usize,
-        mut add: impl FnMut(&[f64], Range<usize>, &mut [f64]),
-    ) {
-        out.fill(0.0);
-        for (i, e) in arm.elements.iter().enumerate() {
-            let (first, end) = (arm.passes[e.passes.start].cable, arm.passes[e.passes.end - 1].cable + 1);
-            for (g, group) in self.legs[e.groups.clone()].iter().enumerate() {
-                let cables = first + WIDE * g..end.min(first + WIDE * (g + 1));
-                let mut force = |node: usize, c: usize, v: &[f64; WIDE], factor: f64| {
-                    let row = (BLOCK * node + c) * columns;
-                    let forces = v.map(|v| factor * v);
-                    add(&forces[..cables.len()], cables.clone(), &mut out[row..row + columns]);
-                };
-                let (direction, turn) = group.v.split_at(FORCE[0]);
-                for (c, v) in direction.iter().enumerate() {
-                    if i > 0 {
-                        force(i - 1, c, v, 1.0);
-                    }
-                    force(i, c, v, -1.0);
-                }
-                let (on_i, on_j) = turn.split_at(4);
-                for (c, (vi, vj)) in on_i.iter().zip(on_j).enumerate() {
-                    if i > 0 {
-                        force(i - 1, 3 + c, vi, 1.0);
-                    }
-                    force(i, 3 + c, vj, -self.sign[i]);
-                }
-            }
         }
     }
 }
@@ -471,8 +411,7 @@ impl Arm {
         ji += cij;
         jj += cjj;
         let (holes, legs) = (&self.holes[e.groups.clone()], &mut out.legs[e.groups.clone()]);
-        let (first, end) = (self.passes[e.passes.start].cable, self.passes[e.passes.end - 1].cable + 1);
-        LegGroup::fill(w, &span, holes, &u[first..end], legs);
+        LegGroup::fill(w, &span, holes, &u[self.cables(e)], legs);
         out.sign[i] = sign;
         let k = Stiffness::new(&span, &Sums::of(w, holes, legs));
         if i > 0 {

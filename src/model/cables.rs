@@ -133,11 +133,8 @@ impl Span {
     pub(super) fn legs<W: Columns>(&self, w: W, y: W::Value, z: W::Value) -> Legs<W::Value> {
         let hole = [y, z];
         let ([ay, az], c) = (&self.across, &self.centre);
-        let d = [
-            at(w, c[0], [ay[0], az[0]], hole),
-            at(w, c[1], [ay[1], az[1]], hole),
-            at(w, c[2], [ay[2], az[2]], hole),
-        ];
+        let d =
+            [at(w, c[0], [ay[0], az[0]], hole), at(w, c[1], [ay[1], az[1]], hole), at(w, c[2], [ay[2], az[2]], hole)];
         let length = w.square_root(dot3(w, d, d));
         let inverse = w.divide(w.splat(1.0), length);
         let direction = [w.multiply(d[0], inverse), w.multiply(d[1], inverse), w.multiply(d[2], inverse)];
@@ -162,7 +159,10 @@ impl Stiffness {
             rp: [Matrix3x4::zeros(); 2],
             pp: [Matrix4::zeros(); 3],
             pull: u,
-            turn: [ji[0].tr_mul(&u) * con + ji[1].tr_mul(&uy) + ji[2].tr_mul(&uz), jj[1].tr_mul(&uy) + jj[2].tr_mul(&uz)],
+            turn: [
+                ji[0].tr_mul(&u) * con + ji[1].tr_mul(&uy) + ji[2].tr_mul(&uz),
+                jj[1].tr_mul(&uy) + jj[2].tr_mul(&uz),
+            ],
         };
         let [i, j] = FORCE;
         for c in 0..3 {

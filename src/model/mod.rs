@@ -13,6 +13,7 @@ mod cables;
 mod chord;
 mod elastic;
 mod inertia;
+mod input;
 mod legs;
 mod outputs;
 mod state;

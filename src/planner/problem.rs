@@ -1,7 +1,7 @@
 //! Problem (15) on the affine map (11): outputs (16), (41), (45) and the cost as a quadratic of the tensions.
 
 use crate::integrator::AffineMap;
-use crate::math::block_tridiagonal::BLOCK;
+use crate::math::block_tridiagonal::COORDINATES;
 use crate::math::simd::{add_four, add_scaled};
 use crate::model::{Arm, Rates, State};
 use nalgebra::{Vector3, Vector4};
@@ -86,8 +86,8 @@ impl Quadratic {
             c: 0.0,
             rows: vec![0.0; outputs * nc],
             errors: vec![0.0; outputs],
-            weights: vec![0.0; (BLOCK * arm.node_count()).max(outputs)],
-            slopes: vec![0.0; (BLOCK * arm.node_count()).max(outputs)],
+            weights: vec![0.0; (COORDINATES * arm.node_count()).max(outputs)],
+            slopes: vec![0.0; (COORDINATES * arm.node_count()).max(outputs)],
         }
     }
 
@@ -118,7 +118,7 @@ impl Quadratic {
                     let tip = i + 1 == n;
                     let rate_weight = if tip { rate } else { damping };
                     for c in 0..7 {
-                        let row = BLOCK * i + c;
+                        let row = COORDINATES * i + c;
                         // The coordinate's and its rate's corrections are one row: dq' = cg dq.
                         let e_rate = state.qd[7 * i + c] + rates.cg * map.x0[row];
                         self.weights[row] = rates.cg * rates.cg * rate_weight;
@@ -158,7 +158,7 @@ impl Quadratic {
                         for o in 0..2 {
                             let out = 2 * element.segment + o;
                             for c in 0..4 {
-                                let row = BLOCK * (node - 1) + 3 + c;
+                                let row = COORDINATES * (node - 1) + 3 + c;
                                 let (fk, fd) = (k_rows[(o, c)], d_rows[(o, c)]);
                                 k[out] += fk * map.x0[row];
                                 kd[out] += fd * map.x0[row];

@@ -67,7 +67,7 @@ pub fn tip_start(
         let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[] };
         wanted.copy_from_slice(&u);
         solver.solve(&problem, &mut wanted, &mut || false);
-        map.evaluate_into(&wanted, &mut dx);
+        dx.copy_from_slice(stepper.correction_for(arm, &wanted));
         let largest =
             (0..arm.node_count()).flat_map(|i| &dx[BLOCK * i..BLOCK * i + 7]).fold(0.0f64, |a, x| a.max(x.abs()));
         let change = u.iter().zip(&wanted).fold(0.0f64, |a, (x, y)| a.max((x - y).abs()));

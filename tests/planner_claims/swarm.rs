@@ -35,7 +35,7 @@ impl SwarmCase {
         // Body points that follow their nodes' positions.
         let (mut origin, mut slope) = (Vec::new(), Vec::new());
         for row in &rows {
-            let at = 11 * row.point.element.max(1) - 11;
+            let at = 7 * row.point.element.max(1) - 7;
             for c in 0..3 {
                 origin.push(row.position[c] + map.x0[at + c]);
                 slope.extend_from_slice(map.row(at + c));

@@ -13,7 +13,7 @@ use super::swarm::{Pairs, Swarm, Variant};
 use crate::collision::{Body, BodyGeometry, ObstacleSet, WarningState, penalty};
 use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
 use crate::integrator::{AffineMap, Scheme, Stepper};
-use crate::math::block_tridiagonal::{BLOCK, Singular};
+use crate::math::block_tridiagonal::Singular;
 use crate::model::{Arm, Motion, State};
 use guess::Guess;
 use nalgebra::Vector3;
@@ -130,7 +130,6 @@ pub struct Planner {
     seeds: usize,
     strict: Option<f64>,
     next: State,
-    dx: Vec<f64>,
     frames: Frames,
     frames_now: Frames,
     /// Tangents of the nodes 0..=N at zero tension, and their derivatives, 3 x cables each; the base's stay zero.
@@ -183,7 +182,6 @@ impl Planner {
             seeds: 0,
             strict: None,
             next: State::at_rest(arm.straight()),
-            dx: vec![0.0; BLOCK * n],
             frames: frames(),
             frames_now: frames(),
             tangent_origin: vec![Vector3::zeros(); n + 1],
@@ -332,8 +330,7 @@ impl Planner {
             for i in 0..self.u.len() {
                 self.effective[i] = self.u[i] + inputs.disturbance.get(i).copied().unwrap_or(0.0);
             }
-            self.map.evaluate_into(&self.effective, &mut self.dx);
-            report.correction = self.stepper.apply(&self.dx, rates, &mut next);
+            report.correction = self.stepper.advance(&self.arm, &self.effective, rates, &mut next);
             report.iterations += 1;
             if !report.correction.is_finite() {
                 report.status = Status::Singular;

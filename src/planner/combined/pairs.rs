@@ -3,7 +3,7 @@
 
 use super::{Inputs, PAIRS_MAX, Planner};
 use crate::collision::{Proximity, required_distance};
-use crate::math::block_tridiagonal::BLOCK;
+use crate::math::block_tridiagonal::COORDINATES;
 use crate::math::quaternion::rotation_jacobians;
 use crate::math::simd::add_four;
 use crate::model::State;
@@ -67,7 +67,7 @@ impl Planner {
             // The base does not move.
             let first = usize::from(i == 0) * 2;
             for c in 0..3 {
-                let position = |node: usize| BLOCK * (node.max(1) - 1) + c;
+                let position = |node: usize| COORDINATES * (node.max(1) - 1) + c;
                 let tangent = |node: usize| (3 * node + c) * nc..(3 * node + c + 1) * nc;
                 let rows: [&[f64]; 4] = [
                     self.map.row(position(i)),
@@ -118,7 +118,7 @@ impl Planner {
             return;
         }
         let jacobian = rotation_jacobians(&self.arm.pose(&next.q, node).1)[0];
-        let at = BLOCK * (node - 1) + 3;
+        let at = COORDINATES * (node - 1) + 3;
         for c in 0..3 {
             let f: [f64; 4] = std::array::from_fn(|p| jacobian[(c, p)]);
             self.tangent_origin[node][c] = (0..4).map(|p| f[p] * self.map.x0[at + p]).sum();
