@@ -1,7 +1,8 @@
 //! One implicit step: Newton on `x = [q; lambda]`, and the affine map `x = zeta1 + zeta2 u` (11), (13).
 
 use super::scheme::Scheme;
-use crate::math::block_tridiagonal::{BLOCK, COORDINATES, Factor, Singular};
+use crate::math::block_tridiagonal::{BLOCK, COORDINATES};
+use crate::math::chain::{Factor, Singular};
 use crate::model::{Arm, Linearization, Motion, Rates, State};
 
 /// The correction of an iterate's coordinates as a function of the tensions: `dq(u) = x0 + x1 u`.

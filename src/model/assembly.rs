@@ -489,7 +489,7 @@ impl WithSimd for Linearizing<'_> {
         }
         for i in 0..n {
             // Vectors that do not divide a group would read past it.
-            if WIDE % S::F64_LANES == 0 {
+            if WIDE.is_multiple_of(S::F64_LANES) {
                 arm.linearize_element(Lanes(simd), motion, u, rates, i, scale, out);
             } else {
                 arm.linearize_element(Scalars, motion, u, rates, i, scale, out);

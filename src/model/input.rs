@@ -65,7 +65,7 @@ impl WithSimd for Matrix<'_> {
                 let Some((row, source, factor)) = from.filled(i, k) else { continue };
                 let row = &mut out[row * nc..][cables.clone()];
                 for (group, row) in legs.iter().zip(row.chunks_mut(WIDE)) {
-                    if row.len() == WIDE && WIDE % S::F64_LANES == 0 {
+                    if row.len() == WIDE && WIDE.is_multiple_of(S::F64_LANES) {
                         add(Lanes(simd), factor, &group.v[source], row);
                     } else {
                         add(Scalars, factor, &group.v[source], row);

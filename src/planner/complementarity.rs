@@ -1,4 +1,4 @@
-//! The mixed complementarity problem (18)-(26), extended by distance constraints, by a Fischer-Burmeister Newton.
+//! The mixed complementarity problem (18)-(26), extended by distance constraints, by Newton on active sets and on (24).
 //!
 //! minimise `u^T A u + 2 b^T u` subject to `lower <= u <= upper` and `C u + d >= 0`, the rows relaxed by an L1 penalty.
 //!

@@ -13,7 +13,7 @@ use super::swarm::{Pairs, Swarm, Variant};
 use crate::collision::{Body, BodyGeometry, ObstacleSet, WarningState, penalty};
 use crate::config::{ArmConfig, PlannerConfig, WarningBranch};
 use crate::integrator::{AffineMap, Scheme, Stepper};
-use crate::math::block_tridiagonal::Singular;
+use crate::math::chain::Singular;
 use crate::model::{Arm, Motion, State};
 use guess::Guess;
 use nalgebra::Vector3;
