@@ -187,7 +187,11 @@ impl Arm {
     /// Cables that pass an element.
     #[inline(always)]
     pub(super) fn cables(&self, e: &Element) -> Range<usize> {
-        self.passes[e.passes.start].cable..self.passes[e.passes.end - 1].cable + 1
+        match &self.passes[e.passes.clone()] {
+            [first, .., last] => first.cable..last.cable + 1,
+            [only] => only.cable..only.cable + 1,
+            [] => 0..0,
+        }
     }
 
     /// Number of cables.
