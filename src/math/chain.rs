@@ -267,7 +267,7 @@ impl WithSimd for Solving<'_> {
             for (rest, k) in rest.iter_mut().zip(&node.k) {
                 *rest -= dot8(simd, k, &x0);
             }
-            node.add_along([0, 1, 2].map(|k| dot8(simd, &node.y[k], &rest)), &mut x0);
+            node.add_along(times(simd, &node.y, &rest), &mut x0);
             here[..COORDINATES].copy_from_slice(&x0[..COORDINATES]);
             load[i] = b;
             if i > 0 {
@@ -288,7 +288,8 @@ impl WithSimd for Solving<'_> {
             let mut coordinates = [0.0; WIDE];
             if i > 0 {
                 coordinates = node.follow(&y);
-                node.add_along([0, 1, 2].map(|k| -dot8(simd, &node.h[k], &y)), &mut coordinates);
+                let [a, b, c] = times(simd, &node.h, &y);
+                node.add_along([-a, -b, -c], &mut coordinates);
             }
             for (x, here) in coordinates.iter_mut().zip(&here[..COORDINATES]) {
                 *x += here;
@@ -474,6 +475,12 @@ fn dot8<S: Simd>(simd: S, a: &Row, b: &Row) -> f64 {
         sum = simd.mul_add_e_f64s(*a, *b, sum);
     }
     simd.reduce_sum_f64s(sum) + a_end.iter().zip(b_end).map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// Three rows times a vector. No closure: the compiler need not inline it, and would call every vector operation.
+#[inline(always)]
+fn times<S: Simd>(simd: S, rows: &[Row; 3], x: &Row) -> [f64; 3] {
+    [dot8(simd, &rows[0], x), dot8(simd, &rows[1], x), dot8(simd, &rows[2], x)]
 }
 
 #[inline(always)]
