@@ -2,7 +2,7 @@
 
 use crate::integrator::AffineMap;
 use crate::math::block_tridiagonal::COORDINATES;
-use crate::math::simd::{add_four, add_scaled};
+use crate::math::simd::add_scaled;
 use crate::model::{Arm, Rates, State};
 use nalgebra::{Vector3, Vector4};
 use pulp::{Arch, Simd, WithSimd};
@@ -209,7 +209,7 @@ impl Quadratic {
 }
 
 /// `a += sum w_r s_r s_r^T`, `b += sum v_r s_r` over the rows `s_r` of a matrix, row by row of weights and slopes; rows of
-/// weight zero cost nothing. Whole rows of `a`: half of them would be no less work for vectors.
+/// weight zero cost nothing. Only whole vectors at and behind the diagonal are summed, then mirrored.
 struct Gram<'a> {
     a: &'a mut [f64],
     b: &'a mut [f64],
@@ -223,29 +223,32 @@ impl WithSimd for Gram<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let n = self.b.len();
+        let Self { a, b, rows, weights, slopes } = self;
+        let n = b.len();
         let mut group = [0usize; GROUP];
         let mut filled = 0;
-        for (r, w) in self.weights.iter().enumerate() {
+        for (r, w) in weights.iter().enumerate() {
             if *w == 0.0 {
                 continue;
             }
-            add_scaled(simd, self.slopes[r], &self.rows[r * n..(r + 1) * n], self.b);
+            add_scaled(simd, slopes[r], &rows[r * n..(r + 1) * n], b);
             group[filled] = r;
             filled += 1;
             if filled == GROUP {
-                let rows: [&[f64]; GROUP] = std::array::from_fn(|k| &self.rows[group[k] * n..(group[k] + 1) * n]);
-                for i in 0..n {
-                    let f: [f64; GROUP] = std::array::from_fn(|k| self.weights[group[k]] * rows[k][i]);
-                    add_four(simd, f, rows, &mut self.a[i * n..(i + 1) * n]);
-                }
+                add_group(simd, rows, weights, &group, n, a);
                 filled = 0;
             }
         }
         for r in &group[..filled] {
-            let row = &self.rows[r * n..(r + 1) * n];
+            let row = &rows[r * n..(r + 1) * n];
             for i in 0..n {
-                add_scaled(simd, self.weights[*r] * row[i], row, &mut self.a[i * n..(i + 1) * n]);
+                let first = i / FIRST * FIRST;
+                add_scaled(simd, weights[*r] * row[i], &row[first..], &mut a[i * n + first..(i + 1) * n]);
+            }
+        }
+        for i in 0..n {
+            for j in 0..i {
+                a[i * n + j] = a[j * n + i];
             }
         }
     }
@@ -253,8 +256,94 @@ impl WithSimd for Gram<'_> {
 
 /// Rows that are added at once: each entry of `a` is then read and written once for all of them.
 const GROUP: usize = 4;
+/// Rows of `a` that are added to at once: each number of a row is then read once for both.
+const PAIR: usize = 2;
+/// Sums begin at a multiple of this at or before the diagonal: whole vectors where their number allows.
+const FIRST: usize = 4;
+
+/// Adds a group of rows to `a`, from the diagonal on.
+#[inline(always)]
+fn add_group<S: Simd>(simd: S, rows: &[f64], weights: &[f64], group: &[usize; GROUP], n: usize, a: &mut [f64]) {
+    let x = [
+        &rows[group[0] * n..][..n],
+        &rows[group[1] * n..][..n],
+        &rows[group[2] * n..][..n],
+        &rows[group[3] * n..][..n],
+    ];
+    let w = [weights[group[0]], weights[group[1]], weights[group[2]], weights[group[3]]];
+    let mut i = 0;
+    while i + PAIR <= n {
+        let at = i / FIRST * FIRST;
+        let (upper, lower) = a[i * n..(i + PAIR) * n].split_at_mut(n);
+        let heads = [
+            S::as_simd_f64s(&x[0][at..]),
+            S::as_simd_f64s(&x[1][at..]),
+            S::as_simd_f64s(&x[2][at..]),
+            S::as_simd_f64s(&x[3][at..]),
+        ];
+        let ((upper, upper_end), (lower, lower_end)) =
+            (S::as_mut_simd_f64s(&mut upper[at..]), S::as_mut_simd_f64s(&mut lower[at..]));
+        let x_at = [[x[0][i], x[0][i + 1]], [x[1][i], x[1][i + 1]], [x[2][i], x[2][i + 1]], [x[3][i], x[3][i + 1]]];
+        let (mut f, mut g) = ([simd.splat_f64s(0.0); GROUP], [simd.splat_f64s(0.0); GROUP]);
+        for k in 0..GROUP {
+            (f[k], g[k]) = (simd.splat_f64s(w[k] * x_at[k][0]), simd.splat_f64s(w[k] * x_at[k][1]));
+        }
+        for v in 0..upper.len() {
+            let (mut above, mut below) = (upper[v], lower[v]);
+            for k in 0..GROUP {
+                let x = heads[k].0[v];
+                above = simd.mul_add_e_f64s(f[k], x, above);
+                below = simd.mul_add_e_f64s(g[k], x, below);
+            }
+            (upper[v], lower[v]) = (above, below);
+        }
+        for c in 0..upper_end.len() {
+            for k in 0..GROUP {
+                let x = heads[k].1[c];
+                upper_end[c] += w[k] * x_at[k][0] * x;
+                lower_end[c] += w[k] * x_at[k][1] * x;
+            }
+        }
+        i += PAIR;
+    }
+    // An odd number leaves the last entry.
+    if i < n {
+        for k in 0..GROUP {
+            a[i * n + i] += w[k] * x[k][i] * x[k][i];
+        }
+    }
+}
 
 /// `u^T R u + du^T W du`.
 pub fn tension_cost(tension: f64, change: &[f64], u: &[f64], u_previous: &[f64]) -> f64 {
     u.iter().zip(u_previous).zip(change).map(|((u, v), w)| tension * u * u + w * (u - v).powi(2)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_of_rows_are_those_of_the_formula_for_every_number_of_cables_and_rows() {
+        for n in [1, 2, 3, 5, 6, 7, 12, 24, 25] {
+            for count in [0, 1, 3, 4, 9] {
+                let rows: Vec<f64> = (0..count * n).map(|k| (k as f64 * 0.7).sin()).collect();
+                // Every third row has no weight.
+                let weights: Vec<f64> = (0..count).map(|r| ((r + 1) % 3) as f64).collect();
+                let slopes: Vec<f64> = weights.iter().map(|w| 2.0 * w).collect();
+                let (mut a, mut b) = (vec![0.0; n * n], vec![0.0; n]);
+                let gram = Gram { a: &mut a, b: &mut b, rows: &rows, weights: &weights, slopes: &slopes };
+                Arch::new().dispatch(gram);
+                for i in 0..n {
+                    let linear: f64 = (0..count).map(|r| slopes[r] * rows[r * n + i]).sum();
+                    assert!((b[i] - linear).abs() < 1e-13, "{n} {count}");
+                    for j in 0..n {
+                        let want: f64 = (0..count).map(|r| weights[r] * rows[r * n + i] * rows[r * n + j]).sum();
+                        assert!((a[i * n + j] - want).abs() < 1e-13, "{n} cables, {count} rows: {i} {j}");
+                        assert_eq!(a[i * n + j], a[j * n + i]);
+                    }
+                }
+            }
+        }
+    }
 }
