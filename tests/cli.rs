@@ -86,9 +86,9 @@ fn a_plan_that_searched_tells_its_evaluations_per_second() {
 
 #[test]
 fn a_plan_through_an_obstacle_exits_with_1() {
-    // The arm hangs straight down through the ball: no tensions can avoid it.
+    // The base stands in the ball: no tensions can avoid it.
     let content = format!(
-        "{SHORT}\n[[obstacles]]\nid = \"in the way\"\nshape = \"ball\"\nradius_m = 0.1\nposition_m = [0.0, 0.0, -0.3]\n"
+        "{SHORT}\n[[obstacles]]\nid = \"in the way\"\nshape = \"ball\"\nradius_m = 0.1\nposition_m = [0.0, 0.0, -0.05]\n"
     );
     let (_directory, path) = file("contact.toml", &content);
     let output = sinew(&["plan", &path, "--warning", "complementarity", "--json"]);
