@@ -7,6 +7,7 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::Routing;
 use sinew::math::block_tridiagonal::BLOCK;
+use sinew::math::chain::Factor;
 use sinew::model::{Arm, CurvatureSensitivity, Linearization, Motion, Rates, State};
 use support::arms::*;
 
@@ -173,6 +174,26 @@ fn the_left_side_less_the_input_is_the_residual() {
             assert!((l.f[r] - input - want).abs() <= 1e-12 * size, "{what} row {r}: {} for {want}", l.f[r] - input);
             assert!((force[at] - input).abs() <= 1e-12 * size, "{what} row {r}: {} for {input}", force[at]);
             assert!((l.pull[r] - input).abs() <= 1e-12 * size, "{what} row {r}: {} for {input}", l.pull[r]);
+        }
+    });
+}
+
+#[test]
+fn the_elimination_solves_the_system_of_every_arm() {
+    each_case(|what, arm, state, u, rates| {
+        let l = linearize(arm, state, u, rates);
+        let n = arm.node_count();
+        let mut factor = Factor::new(n);
+        factor.factor(&l.tangent).unwrap();
+        let dense = dense(&l.tangent);
+        let rhs: Vec<f64> = (0..BLOCK * n).map(|r| (r as f64 * 0.7).sin()).collect();
+        let (mut x, mut back) = (rhs.clone(), vec![0.0; rhs.len()]);
+        factor.solve_in_place(&mut x);
+        l.tangent.multiply_into(&x, &mut back);
+        let largest = x.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+        for (r, (got, want)) in back.iter().zip(&rhs).enumerate() {
+            let bound = 1e-9 * (1.0 + dense.row(r).amax() * largest);
+            assert!((got - want).abs() <= bound, "{what} row {r}: {got} for {want}");
         }
     });
 }
