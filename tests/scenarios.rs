@@ -85,8 +85,10 @@ fn exact_branches_keep_their_distance_and_never_fail_a_step() {
 #[test]
 fn the_swarm_alone_stays_within_the_softness_of_its_penalty() {
     for body in [BodyModel::Points, BodyModel::Arm] {
-        judge("shape", WarningBranch::Swarm, body, 0.5e-3);
-        // What its noise leaves of the tip is a matter of the seed: most keep the bound (see the scenario's file).
+        for name in ["tip", "shape"] {
+            judge(name, WarningBranch::Swarm, body, 0.5e-3);
+        }
+        // The tip's error is a matter of the seed (see the scenario's file): the middle one keeps the bound, too.
         let mut errors: Vec<f64> = (1..=5)
             .map(|seed| {
                 let s = run("tip", WarningBranch::Swarm, body, seed);

@@ -109,7 +109,7 @@ impl Stepper {
 
     /// The Newton correction (11N, multipliers scaled) at the last linearisation and its tensions: `S dx = -f + B u`. Does
     /// not allocate.
-    pub fn correction(&mut self) -> &mut Vec<f64> {
+    pub(crate) fn correction(&mut self) -> &mut Vec<f64> {
         let Linearization { f, pull, .. } = &self.linearization;
         for ((x, pull), f) in self.dx.iter_mut().zip(pull).zip(f) {
             *x = pull - f;

@@ -1,6 +1,10 @@
 //! The total tangent S of (14) as blocks of a node each: equations and unknowns 11 per node, coupled to the neighbours.
 //!
 //! Enters: terms, added where they belong. Leaves: blocks, for the elimination in `chain`.
+//!
+//! The pattern: a node's equations see only the seven coordinates of the node before (`lower` has columns 0..7, and no row
+//! for the norm constraint), and only its seven equations of motion see the node behind (`upper` has rows 0..7, and no
+//! column for the norm multiplier).
 
 use std::ops::{Index, IndexMut};
 
@@ -48,38 +52,6 @@ impl Block {
         for r in 0..R {
             for c in 0..C {
                 self.0[row + r][column + c] = factor * m[(r, c)];
-            }
-        }
-    }
-
-    /// Writes `factor * m^T` with its corner at (row, column).
-    #[inline(always)]
-    pub fn set_transposed<const R: usize, const C: usize>(
-        &mut self,
-        row: usize,
-        column: usize,
-        m: &nalgebra::SMatrix<f64, R, C>,
-        factor: f64,
-    ) {
-        for r in 0..R {
-            for c in 0..C {
-                self.0[row + c][column + r] = factor * m[(r, c)];
-            }
-        }
-    }
-
-    /// Adds `factor * m^T` with its corner at (row, column).
-    #[inline(always)]
-    pub fn add_transposed<const R: usize, const C: usize>(
-        &mut self,
-        row: usize,
-        column: usize,
-        m: &nalgebra::SMatrix<f64, R, C>,
-        factor: f64,
-    ) {
-        for r in 0..R {
-            for c in 0..C {
-                self.0[row + c][column + r] += factor * m[(r, c)];
             }
         }
     }

@@ -428,25 +428,25 @@ impl Arm {
         let d = &mut out.tangent.diagonal[i];
         d.add(0, 0, &k.rr, 1.0);
         d.add(0, 3, &k.rp[1], sign);
-        d.add_transposed(3, 0, &k.rp[1], sign);
+        d.add(3, 0, &k.rp[1].transpose(), sign);
         d.add(3, 3, &jj, 1.0);
         for c in 0..3 {
             d[(c, 7 + c)] += s;
             d[(7 + c, c)] += s;
         }
         d.add(7, 3, &dj, s * sign);
-        d.add_transposed(3, 7, &dj, s * sign);
+        d.add(3, 7, &dj.transpose(), s * sign);
         if i > 0 {
             let d = &mut out.tangent.diagonal[i - 1];
             d.add(0, 0, &k.rr, 1.0);
             d.add(0, 3, &k.rp[0], 1.0);
-            d.add_transposed(3, 0, &k.rp[0], 1.0);
+            d.add(3, 0, &k.rp[0].transpose(), 1.0);
             d.add(3, 3, &ii, 1.0);
             // Every number of these two that is not zero is written here, and only here.
             let lower = &mut out.tangent.lower[i];
             lower.set(0, 0, &k.rr, -1.0);
             lower.set(0, 3, &k.rp[0], -1.0);
-            lower.set_transposed(3, 0, &k.rp[1], -sign);
+            lower.set(3, 0, &k.rp[1].transpose(), -sign);
             lower.set(3, 3, &ji, sign);
             for c in 0..3 {
                 lower[(7 + c, c)] = -s;
@@ -454,13 +454,13 @@ impl Arm {
             lower.set(7, 3, &di, s);
             let upper = &mut out.tangent.upper[i - 1];
             upper.set(0, 0, &k.rr, -1.0);
-            upper.set_transposed(3, 0, &k.rp[0], -1.0);
+            upper.set(3, 0, &k.rp[0].transpose(), -1.0);
             upper.set(0, 3, &k.rp[1], -sign);
             upper.set(3, 3, &ij, sign);
             for c in 0..3 {
                 upper[(c, 7 + c)] = -s;
             }
-            upper.set_transposed(3, 7, &di, s);
+            upper.set(3, 7, &di.transpose(), s);
         }
     }
 }
@@ -514,7 +514,7 @@ impl Arm {
                 d[(7 + c, c)] += scale;
             }
             d.add(7, 3, &dj, scale * sign);
-            d.add_transposed(3, 7, &dj, scale * sign);
+            d.add(3, 7, &dj.transpose(), scale * sign);
             for c in 0..4 {
                 d[(3 + c, 10)] = 2.0 * sign * ends.pj[c] * scale;
                 d[(10, 3 + c)] = 2.0 * sign * ends.pj[c] * scale;
@@ -525,7 +525,7 @@ impl Arm {
                     out.upper[i - 1][(c, 7 + c)] -= scale;
                 }
                 out.lower[i].add(7, 3, &di, scale);
-                out.upper[i - 1].add_transposed(3, 7, &di, scale);
+                out.upper[i - 1].add(3, 7, &di.transpose(), scale);
             }
         }
     }

@@ -7,7 +7,7 @@ use super::arm::Arm;
 use super::assembly::Linearization;
 use super::legs::{FORCE, LegGroup, ROWS, WIDE};
 use crate::math::block_tridiagonal::COORDINATES;
-use crate::math::simd::{Columns, Lanes, Scalars};
+use crate::math::simd::{Columns, Lanes, Scalars, dot};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
@@ -162,7 +162,7 @@ impl WithSimd for Force<'_> {
                 let mut tensions = [0.0; WIDE];
                 tensions[..u.len()].copy_from_slice(u);
                 for r in 0..ROWS {
-                    pull[r] += crate::math::simd::dot(simd, &group.v[r], &tensions);
+                    pull[r] += dot(simd, &group.v[r], &tensions);
                 }
             }
             for k in 0..FILLED {

@@ -110,11 +110,11 @@ pub struct Solver {
 
 /// Stop: the natural residual over the problem's size.
 const TOLERANCE: f64 = 1e-13;
-/// Most Newton iterations per working set.
+/// Most Newton iterations per working set, steps of active sets among them.
 const ITERATIONS_MAX: usize = 80;
 /// Most active-set steps per working set; where they have not ended the search by then, they cycle or are far off.
 const ACTIVE_SET_STEPS_MAX: usize = 8;
-/// Most Newton iterations of a working set that was told; where they do not solve it, it was a bad guess.
+/// Most Newton iterations of a working set that was told, steps of active sets among them; where they do not solve it, it was a bad guess.
 const WARM_ITERATIONS_MAX: usize = 12;
 /// A row is violated when `C u + d` is below minus this share of its size.
 const ROW_TOLERANCE: f64 = 1e-10;
