@@ -118,7 +118,8 @@ impl Stepper {
         &mut self.dx
     }
 
-    /// [`Stepper::correction`] for other tensions than those of the last linearisation. Does not allocate.
+    /// The Newton correction (11N, multipliers scaled) at the last linearisation for other tensions `u` (m, N) than its own.
+    /// Does not allocate.
     pub fn correction_for(&mut self, arm: &Arm, u: &[f64]) -> &mut Vec<f64> {
         self.linearization.force_into(arm, u, &mut self.force);
         let rows = self.dx.chunks_exact_mut(BLOCK).zip(self.linearization.f.chunks_exact(BLOCK));
