@@ -14,7 +14,7 @@
 //! columns of multipliers are the transposed rows of constraints, and all of them have one scale.
 
 use super::block_tridiagonal::{BLOCK, BlockTridiagonal, COORDINATES, STRIDE};
-use super::simd::{Columns, Lanes, Scalars};
+use super::simd::{Columns, Lanes, Number, Scalars};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rows of eight: seven coordinates and a zero.
@@ -377,7 +377,7 @@ fn inward<C: Columns>(
     let mut z = [w.splat(0.0); 3];
     for r in 0..COORDINATES {
         for k in 0..3 {
-            z[k] = w.multiply_add(w.splat(node.y[k][r]), b[r], z[k]);
+            z[k] = w.splat(node.y[k][r]).multiply_add(b[r], z[k]);
         }
     }
     for k in 0..3 {
@@ -387,14 +387,14 @@ fn inward<C: Columns>(
         for r in 0..COORDINATES {
             let mut sum = w.load(&before[r * columns + c..]);
             if r < 3 {
-                sum = w.multiply_add(w.splat(1.0), b[r], sum);
+                sum = sum + b[r];
             } else {
                 for k in 0..3 {
-                    sum = w.multiply_add(w.splat(-node.before[k][r - 3]), b[k], sum);
+                    sum = w.splat(-node.before[k][r - 3]).multiply_add(b[k], sum);
                 }
             }
             for k in 0..3 {
-                sum = w.multiply_add(w.splat(-node.wz[r][k]), z[k], sum);
+                sum = w.splat(-node.wz[r][k]).multiply_add(z[k], sum);
             }
             w.store(sum, &mut before[r * columns + c..]);
         }
@@ -414,20 +414,20 @@ fn outward<C: Columns>(w: C, node: &Node, columns: usize, c: usize, before: Opti
         for r in 0..COORDINATES {
             let y = w.load(&before[r * columns + c..]);
             for k in 0..3 {
-                z[k] = w.multiply_add(w.splat(-node.h[k][r]), y, z[k]);
+                z[k] = w.splat(-node.h[k][r]).multiply_add(y, z[k]);
             }
             if r < 3 {
-                x[r] = w.multiply_add(w.splat(1.0), y, x[r]);
+                x[r] = x[r] + y;
             } else {
                 for k in 0..3 {
-                    x[k] = w.multiply_add(w.splat(-node.before[k][r - 3]), y, x[k]);
+                    x[k] = w.splat(-node.before[k][r - 3]).multiply_add(y, x[k]);
                 }
             }
         }
     }
     for r in 0..COORDINATES {
         for k in 0..3 {
-            x[r] = w.multiply_add(w.splat(node.z[r][k]), z[k], x[r]);
+            x[r] = w.splat(node.z[r][k]).multiply_add(z[k], x[r]);
         }
         w.store(x[r], &mut here[r * columns + c..]);
     }

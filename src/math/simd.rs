@@ -5,6 +5,7 @@
 //! never between runs on one.
 
 use pulp::Simd;
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// `y += f x`, over the shorter of the two. Does not allocate.
 #[inline(always)]
@@ -53,20 +54,49 @@ pub fn add_four<S: Simd>(simd: S, f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
     }
 }
 
-/// A few columns at once: a vector, or a single number at the end of a row.
+/// A number, or several side by side, each its own: what kernels and the model's formulas are written in.
+pub(crate) trait Number:
+    Copy
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Mul<f64, Output = Self>
+    + Neg<Output = Self>
+{
+    /// `self b + c`, rounded once where the processor can.
+    fn multiply_add(self, b: Self, c: Self) -> Self;
+    fn square_root(self) -> Self;
+}
+
+impl Number for f64 {
+    #[inline(always)]
+    fn multiply_add(self, b: f64, c: f64) -> f64 {
+        self * b + c
+    }
+    #[inline(always)]
+    fn square_root(self) -> f64 {
+        self.sqrt()
+    }
+}
+
+/// `a . b`.
+#[inline(always)]
+pub(crate) fn inner<V: Number, const N: usize>(a: &[V; N], b: &[V; N]) -> V {
+    let mut sum = a[0] * b[0];
+    for k in 1..N {
+        sum = a[k].multiply_add(b[k], sum);
+    }
+    sum
+}
+
+/// As many numbers as a vector of the processor has, or one: how they come from memory and go back.
 pub(crate) trait Columns: Copy {
-    type Value: Copy;
+    type Value: Number;
     const WIDTH: usize;
     fn splat(self, v: f64) -> Self::Value;
     fn load(self, s: &[f64]) -> Self::Value;
     fn store(self, v: Self::Value, s: &mut [f64]);
-    /// `a b + c`.
-    fn multiply_add(self, a: Self::Value, b: Self::Value, c: Self::Value) -> Self::Value;
-    fn multiply(self, a: Self::Value, b: Self::Value) -> Self::Value;
-    fn divide(self, a: Self::Value, b: Self::Value) -> Self::Value;
-    fn square_root(self, a: Self::Value) -> Self::Value;
-    /// Of its numbers.
-    fn sum(self, a: Self::Value) -> f64;
 }
 
 #[derive(Clone, Copy)]
@@ -87,64 +117,87 @@ impl Columns for Scalars {
     fn store(self, v: f64, s: &mut [f64]) {
         s[0] = v;
     }
-    #[inline(always)]
-    fn multiply_add(self, a: f64, b: f64, c: f64) -> f64 {
-        a * b + c
-    }
-    #[inline(always)]
-    fn multiply(self, a: f64, b: f64) -> f64 {
-        a * b
-    }
-    #[inline(always)]
-    fn divide(self, a: f64, b: f64) -> f64 {
-        a / b
-    }
-    #[inline(always)]
-    fn square_root(self, a: f64) -> f64 {
-        a.sqrt()
-    }
-    #[inline(always)]
-    fn sum(self, a: f64) -> f64 {
-        a
-    }
 }
 
 #[derive(Clone, Copy)]
 pub(crate) struct Lanes<S>(pub(crate) S);
 
 impl<S: Simd> Columns for Lanes<S> {
-    type Value = S::f64s;
+    type Value = Vector<S>;
     const WIDTH: usize = S::F64_LANES;
     #[inline(always)]
-    fn splat(self, v: f64) -> S::f64s {
-        self.0.splat_f64s(v)
+    fn splat(self, v: f64) -> Vector<S> {
+        Vector(self.0, self.0.splat_f64s(v))
     }
     #[inline(always)]
-    fn load(self, s: &[f64]) -> S::f64s {
-        S::as_simd_f64s(&s[..S::F64_LANES]).0[0]
+    fn load(self, s: &[f64]) -> Vector<S> {
+        Vector(self.0, S::as_simd_f64s(&s[..S::F64_LANES]).0[0])
     }
     #[inline(always)]
-    fn store(self, v: S::f64s, s: &mut [f64]) {
-        S::as_mut_simd_f64s(&mut s[..S::F64_LANES]).0[0] = v;
+    fn store(self, v: Vector<S>, s: &mut [f64]) {
+        S::as_mut_simd_f64s(&mut s[..S::F64_LANES]).0[0] = v.1;
+    }
+}
+
+/// A vector of the processor, with the proof that it has such vectors.
+#[derive(Clone, Copy)]
+pub(crate) struct Vector<S: Simd>(S, S::f64s);
+
+impl<S: Simd> Number for Vector<S> {
+    #[inline(always)]
+    fn multiply_add(self, b: Self, c: Self) -> Self {
+        Self(self.0, self.0.mul_add_e_f64s(self.1, b.1, c.1))
     }
     #[inline(always)]
-    fn multiply_add(self, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
-        self.0.mul_add_e_f64s(a, b, c)
+    fn square_root(self) -> Self {
+        Self(self.0, self.0.sqrt_f64s(self.1))
     }
+}
+
+impl<S: Simd> Add for Vector<S> {
+    type Output = Self;
     #[inline(always)]
-    fn multiply(self, a: S::f64s, b: S::f64s) -> S::f64s {
-        self.0.mul_f64s(a, b)
+    fn add(self, b: Self) -> Self {
+        Self(self.0, self.0.add_f64s(self.1, b.1))
     }
+}
+
+impl<S: Simd> Sub for Vector<S> {
+    type Output = Self;
     #[inline(always)]
-    fn divide(self, a: S::f64s, b: S::f64s) -> S::f64s {
-        self.0.div_f64s(a, b)
+    fn sub(self, b: Self) -> Self {
+        Self(self.0, self.0.sub_f64s(self.1, b.1))
     }
+}
+
+impl<S: Simd> Mul for Vector<S> {
+    type Output = Self;
     #[inline(always)]
-    fn square_root(self, a: S::f64s) -> S::f64s {
-        self.0.sqrt_f64s(a)
+    fn mul(self, b: Self) -> Self {
+        Self(self.0, self.0.mul_f64s(self.1, b.1))
     }
+}
+
+impl<S: Simd> Mul<f64> for Vector<S> {
+    type Output = Self;
     #[inline(always)]
-    fn sum(self, a: S::f64s) -> f64 {
-        self.0.reduce_sum_f64s(a)
+    fn mul(self, b: f64) -> Self {
+        Self(self.0, self.0.mul_f64s(self.1, self.0.splat_f64s(b)))
+    }
+}
+
+impl<S: Simd> Div for Vector<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, b: Self) -> Self {
+        Self(self.0, self.0.div_f64s(self.1, b.1))
+    }
+}
+
+impl<S: Simd> Neg for Vector<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self(self.0, self.0.neg_f64s(self.1))
     }
 }

@@ -1,6 +1,6 @@
 //! The arm's constants as the equations need them: nodes, elements, holes.
 
-use super::legs::HoleGroup;
+use super::legs::GROUP;
 use crate::config::{ArmConfig, ChordRule, Routing, StrainRule};
 use nalgebra::{Vector3, Vector4};
 use std::ops::Range;
@@ -40,7 +40,7 @@ pub struct Element {
     pub segment: usize,
     /// Its passages in [`Arm::passes`].
     pub passes: Range<usize>,
-    /// Their holes in groups, and the legs of a linearisation.
+    /// The groups of their legs in a linearisation.
     pub(super) groups: Range<usize>,
 }
 
@@ -57,8 +57,6 @@ pub struct Arm {
     pub elements: Vec<Element>,
     /// Cable passages, element by element; the cables of an element follow one another.
     pub passes: Vec<HolePass>,
-    /// Their holes in groups, element by element.
-    pub(super) holes: Vec<HoleGroup>,
     /// Constant part of each cable's length: connectors passed (m).
     pub cable_constant: Vec<f64>,
     /// Elements that each cable runs through.
@@ -139,7 +137,7 @@ impl Arm {
                 Routing::Through => 0..segment_elements[s].end,
             })
             .collect();
-        let (mut passes, mut groups) = (Vec::new(), Vec::new());
+        let (mut passes, mut groups) = (Vec::new(), 0);
         for (i, element) in elements.iter_mut().enumerate() {
             let start = passes.len();
             for (cable, range) in cable_elements.iter().enumerate() {
@@ -148,9 +146,8 @@ impl Arm {
                 }
             }
             element.passes = start..passes.len();
-            let first = groups.len();
-            groups.extend(HoleGroup::of(&passes[start..]));
-            element.groups = first..groups.len();
+            element.groups = groups..groups + element.passes.len().div_ceil(GROUP);
+            groups = element.groups.end;
         }
         // Connectors are passed by `through` cables; a `local` cable starts behind its segment's connector.
         let cable_constant = cable_segment
@@ -166,7 +163,6 @@ impl Arm {
             nodes,
             elements,
             passes,
-            holes: groups,
             cable_constant,
             cable_elements,
             cable_segment,
@@ -254,9 +250,8 @@ impl Arm {
                     Vector4::new(w, half[0], half[1], half[2]).normalize()
                 }
             };
-            let start = r + e.connector * quat::tangent(&p);
             let next = quat::product(&p, &v).normalize();
-            r = start + self.chord_vector(e, &p, &next);
+            r += self.chord_vector(e, &p, &next);
             p = next;
             q[7 * i..7 * i + 3].copy_from_slice(r.as_slice());
             q[7 * i + 3..7 * i + 7].copy_from_slice(p.as_slice());

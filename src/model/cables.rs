@@ -9,25 +9,23 @@
 
 use super::arm::{Element, HolePass};
 use super::legs::{FORCE, Sums};
-use crate::math::quaternion::{rotation, rotation_form, rotation_jacobians};
-use crate::math::simd::{Columns, Scalars};
-use nalgebra::{Matrix3, Matrix3x4, Matrix4, Vector3, Vector4};
+use crate::math::quaternion::{axes, axis_jacobians, pure_times, rotation_form};
+use crate::math::simd::{Columns, Number, inner};
+use nalgebra::{Vector3, Vector4};
 
-/// Positions, rotations and their derivatives at the two ends of an element, computed once for all its cables.
-pub(super) struct Span {
+/// Both ends of an element, or of several side by side: what all cables there need.
+pub(super) struct Span<V> {
     /// From hole to hole where both are at the disks' centres, and how that changes with `h_y` and `h_z`.
-    centre: Vector3<f64>,
-    across: [Vector3<f64>; 2],
-    /// `dR e_k/dp`.
-    pub(super) jacobians: [[Matrix3x4<f64>; 3]; 2],
-    /// `p e_k`.
-    product: [[Vector4<f64>; 3]; 2],
-    norm_squared: [f64; 2],
-    connector: f64,
+    centre: [V; 3],
+    across: [[V; 3]; 2],
+    p: [[V; 4]; 2],
+    /// `-2 p e_k`.
+    product: [[[V; 4]; 3]; 2],
+    connector: V,
 }
 
-/// Some cables in one element (one number each in `V`): direction, length, and where its derivative acts.
-pub(super) struct Legs<V> {
+/// A cable in an element, or in several: direction, length, and where its derivative acts.
+pub(super) struct Leg<V> {
     /// Unit vector from the hole in disk i to the hole in disk j.
     pub(super) direction: [V; 3],
     /// Distance between the holes (m).
@@ -37,189 +35,175 @@ pub(super) struct Legs<V> {
     pub(super) forces: [[V; 4]; 2],
 }
 
-/// [`Legs`] of one cable.
-pub(super) struct Leg {
-    pub(super) direction: Vector3<f64>,
-    pub(super) forces: [Vector4<f64>; 2],
-}
-
 /// Tangent blocks of `-G u` summed over the cables of an element.
-pub(super) struct Stiffness {
+pub(super) struct Stiffness<V> {
     /// `sum u P`, `P = (I - e e^T)/length`: blocks r_i r_i and r_j r_j; its negative is r_i r_j.
-    pub(super) rr: Matrix3<f64>,
+    pub(super) rr: [[V; 3]; 3],
     /// `sum u P D_i`, `sum u P D_j`.
-    pub(super) rp: [Matrix3x4<f64>; 2],
+    pub(super) rp: [[[V; 4]; 3]; 2],
     /// Quaternion blocks ii, ij, jj.
-    pub(super) pp: [Matrix4<f64>; 3],
+    pub(super) pp: [[[V; 4]; 4]; 3],
     /// `sum u e`, the force on the position of disk i; on that of disk j its negative.
-    pub(super) pull: Vector3<f64>,
+    pub(super) pull: [V; 3],
     /// `sum u D_i^T e`, `sum u D_j^T e`.
-    pub(super) turn: [Vector4<f64>; 2],
+    pub(super) turn: [[V; 4]; 2],
 }
 
-/// `p e_k` for the three axes.
+/// `-2 p e_k` for the three axes.
 #[inline(always)]
 #[rustfmt::skip]
-fn axis_products(p: &Vector4<f64>) -> [Vector4<f64>; 3] {
-    let (w, x, y, z) = (p[0], p[1], p[2], p[3]);
-    [Vector4::new(-x, w, z, -y), Vector4::new(-y, -z, w, x), Vector4::new(-z, y, -x, w)]
+fn axis_products<V: Number>([w, x, y, z]: [V; 4]) -> [[V; 4]; 3] {
+    let (w, x, y, z) = (w * -2.0, x * -2.0, y * -2.0, z * -2.0);
+    [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
 }
 
-/// `-2 e q` for a pure e.
+/// `a_0 x_0 + a_1 x_1 + a_2 x_2`, each of N numbers.
 #[inline(always)]
-fn pull_on<W: Columns>(w: W, e: &[W::Value; 3], q: &[W::Value; 4]) -> [W::Value; 4] {
-    let (minus, plus) = (w.splat(-2.0), w.splat(2.0));
-    let [x, y, z] = [w.multiply(e[0], minus), w.multiply(e[1], minus), w.multiply(e[2], minus)];
-    let [mx, my, mz] = [w.multiply(e[0], plus), w.multiply(e[1], plus), w.multiply(e[2], plus)];
-    [
-        dot3(w, [mx, my, mz], [q[1], q[2], q[3]]),
-        dot3(w, [x, y, mz], [q[0], q[3], q[2]]),
-        dot3(w, [y, z, mx], [q[0], q[1], q[3]]),
-        dot3(w, [z, x, my], [q[0], q[2], q[1]]),
-    ]
+fn combine<V: Number, const N: usize>(a: [V; 3], x: &[[V; N]; 3]) -> [V; N] {
+    let mut sum = x[0];
+    for k in 0..N {
+        sum[k] = a[0].multiply_add(x[0][k], a[1].multiply_add(x[1][k], a[2] * x[2][k]));
+    }
+    sum
 }
 
 #[inline(always)]
-fn dot3<W: Columns>(w: W, a: [W::Value; 3], b: [W::Value; 3]) -> W::Value {
-    w.multiply_add(a[0], b[0], w.multiply_add(a[1], b[1], w.multiply(a[2], b[2])))
+fn plus<V: Number>(mut a: [V; 4], b: [V; 4]) -> [V; 4] {
+    for k in 0..4 {
+        a[k] = a[k] + b[k];
+    }
+    a
 }
 
-/// `c + a_y y + a_z z` of a hole at `y`, `z`.
-#[inline(always)]
-fn at<W: Columns>(w: W, c: f64, a: [f64; 2], hole: [W::Value; 2]) -> W::Value {
-    w.multiply_add(w.splat(a[0]), hole[0], w.multiply_add(w.splat(a[1]), hole[1], w.splat(c)))
-}
-
-/// `p (x e_x + h)`.
-#[inline(always)]
-fn product_at<W: Columns>(w: W, p: &[Vector4<f64>; 3], x: f64, hole: [W::Value; 2]) -> [W::Value; 4] {
-    let [px, py, pz] = p;
-    [
-        at(w, px[0] * x, [py[0], pz[0]], hole),
-        at(w, px[1] * x, [py[1], pz[1]], hole),
-        at(w, px[2] * x, [py[2], pz[2]], hole),
-        at(w, px[3] * x, [py[3], pz[3]], hole),
-    ]
-}
-
-impl Span {
-    #[inline(always)]
-    pub(super) fn new(e: &Element, ri: &Vector3<f64>, pi: &Vector4<f64>, rj: &Vector3<f64>, pj: &Vector4<f64>) -> Self {
-        let (si, sj) = (rotation(pi), rotation(pj));
-        Self {
-            centre: rj - ri - si.column(0) * e.connector,
-            across: [sj.column(1) - si.column(1), sj.column(2) - si.column(2)],
-            jacobians: [rotation_jacobians(pi), rotation_jacobians(pj)],
-            product: [axis_products(pi), axis_products(pj)],
-            norm_squared: [pi.norm_squared(), pj.norm_squared()],
-            connector: e.connector,
-        }
+impl Span<f64> {
+    /// Of one element.
+    pub(super) fn of(e: &Element, ri: Vector3<f64>, pi: Vector4<f64>, rj: Vector3<f64>, pj: Vector4<f64>) -> Self {
+        Self::new(e.connector, [ri.into(), rj.into()], [pi.into(), pj.into()])
     }
 
     /// Distance between the holes (m).
-    #[inline(always)]
     pub(super) fn length(&self, pass: &HolePass) -> f64 {
-        (self.centre + self.across[0] * pass.hole[1] + self.across[1] * pass.hole[2]).norm()
-    }
-
-    #[inline(always)]
-    pub(super) fn leg(&self, pass: &HolePass) -> Leg {
-        let Legs { direction, forces, .. } = self.legs(Scalars, pass.hole[1], pass.hole[2]);
-        Leg { direction: direction.into(), forces: forces.map(Vector4::from) }
-    }
-
-    /// Legs of the cables through the holes at `y`, `z`.
-    #[inline(always)]
-    pub(super) fn legs<W: Columns>(&self, w: W, y: W::Value, z: W::Value) -> Legs<W::Value> {
-        let hole = [y, z];
-        let ([ay, az], c) = (&self.across, &self.centre);
-        let d =
-            [at(w, c[0], [ay[0], az[0]], hole), at(w, c[1], [ay[1], az[1]], hole), at(w, c[2], [ay[2], az[2]], hole)];
-        let length = w.square_root(dot3(w, d, d));
-        let inverse = w.divide(w.splat(1.0), length);
-        let direction = [w.multiply(d[0], inverse), w.multiply(d[1], inverse), w.multiply(d[2], inverse)];
-        let pi = product_at(w, &self.product[0], self.connector, hole);
-        let pj = product_at(w, &self.product[1], 0.0, hole);
-        Legs { direction, length, forces: [pull_on(w, &direction, &pi), pull_on(w, &direction, &pj)] }
+        self.leg(pass.hole[1], pass.hole[2]).length
     }
 }
 
-impl Stiffness {
+impl<V: Number> Span<V> {
+    /// From the connector's length (m), positions (m) and quaternions.
+    #[inline(always)]
+    pub(super) fn new(connector: V, r: [[V; 3]; 2], p: [[V; 4]; 2]) -> Self {
+        let (i, j) = (axes(p[0]), axes(p[1]));
+        let (mut centre, mut across) = (r[0], [r[0]; 2]);
+        for k in 0..3 {
+            centre[k] = r[1][k] - r[0][k] - connector * i[0][k];
+            across[0][k] = j[1][k] - i[1][k];
+            across[1][k] = j[2][k] - i[2][k];
+        }
+        Self { centre, across, p, product: [axis_products(p[0]), axis_products(p[1])], connector }
+    }
+
+    /// The cable through the holes at `y`, `z`.
+    #[inline(always)]
+    pub(super) fn leg(&self, y: V, z: V) -> Leg<V> {
+        let [ay, az] = &self.across;
+        let mut d = self.centre;
+        for k in 0..3 {
+            d[k] = ay[k].multiply_add(y, az[k].multiply_add(z, d[k]));
+        }
+        let length = inner(&d, &d).square_root();
+        let direction = [d[0] / length, d[1] / length, d[2] / length];
+        let (i, [_, jy, jz]) = (combine([self.connector, y, z], &self.product[0]), &self.product[1]);
+        let mut j = *jy;
+        for k in 0..4 {
+            j[k] = jy[k].multiply_add(y, jz[k] * z);
+        }
+        Leg { direction, length, forces: [pure_times(direction, i), pure_times(direction, j)] }
+    }
+}
+
+impl<V: Number> Stiffness<V> {
     /// From the sums over the cables: what each gives by its direction, `-w [e; a_i; a_j] [e; a_i; a_j]^T`, what the
     /// moments of the holes give, and the rotations' second derivatives.
     #[inline(always)]
-    pub(super) fn new(span: &Span, sums: &Sums) -> Self {
+    pub(super) fn new<W: Columns<Value = V>>(vectors: W, span: &Span<V>, sums: &Sums<V>) -> Self {
+        let zero = vectors.splat(0.0);
         let g = &sums.gram;
         let [w, y, z, yy, yz, zz] = sums.moments;
-        let con = span.connector;
-        let ([ji, jj], [pi, pj]) = (&span.jacobians, &span.product);
-        let [u, uy, uz] = sums.pull.map(Vector3::from);
+        let (con, product) = (span.connector, &span.product);
+        let [u, uy, uz] = sums.pull;
+        let ux = [con * u[0], con * u[1], con * u[2]];
+        let (ji, jj) = (axis_jacobians(span.p[0]), axis_jacobians(span.p[1]));
         let mut k = Self {
-            rr: Matrix3::zeros(),
-            rp: [Matrix3x4::zeros(); 2],
-            pp: [Matrix4::zeros(); 3],
+            rr: [[zero; 3]; 3],
+            rp: [[[zero; 4]; 3]; 2],
+            pp: [[[zero; 4]; 4]; 3],
             pull: u,
             turn: [
-                ji[0].tr_mul(&u) * con + ji[1].tr_mul(&uy) + ji[2].tr_mul(&uz),
-                jj[1].tr_mul(&uy) + jj[2].tr_mul(&uz),
+                plus(pure_times(ux, product[0][0]), plus(pure_times(uy, product[0][1]), pure_times(uz, product[0][2]))),
+                plus(pure_times(uy, product[1][1]), pure_times(uz, product[1][2])),
             ],
         };
         let [i, j] = FORCE;
-        for c in 0..3 {
-            for r in 0..3 {
-                k.rr[(r, c)] = -g[r.min(c)][r.max(c)];
+        // Moments about all axes, of which disk i's connector fills the first.
+        let first = [con * w, y, z];
+        for r in 0..3 {
+            for c in 0..3 {
+                k.rr[r][c] = -g[r.min(c)][r.max(c)];
             }
-            k.rr[(c, c)] += w;
-        }
-        for c in 0..4 {
-            for r in 0..3 {
-                k.rp[0][(r, c)] = -g[r][i + c];
-                k.rp[1][(r, c)] = -g[r][j + c];
-            }
-            for r in 0..4 {
-                k.pp[0][(r, c)] = -g[i + r.min(c)][i + r.max(c)];
-                k.pp[1][(r, c)] = g[i + r][j + c];
-                k.pp[2][(r, c)] = -g[j + r.min(c)][j + r.max(c)];
-            }
-        }
-        k.rp[0] += ji[0] * (con * w) + ji[1] * y + ji[2] * z;
-        k.rp[1] += jj[1] * y + jj[2] * z;
-        // D_i^T D_j with the connector in the hole of disk i alone.
-        let toward = [jj[1] * (con * y) + jj[2] * (con * z), jj[1] * yy + jj[2] * yz, jj[1] * yz + jj[2] * zz];
-        for (axis, t) in toward.iter().enumerate() {
-            if axis > 0 || con != 0.0 {
-                for c in 0..4 {
-                    for r in 0..4 {
-                        k.pp[1][(r, c)] -=
-                            ji[axis][(0, r)] * t[(0, c)] + ji[axis][(1, r)] * t[(1, c)] + ji[axis][(2, r)] * t[(2, c)];
-                    }
-                }
-            }
-        }
-        // D^T D of one end: moments about all axes, of which the connector fills the first.
-        let moments = [[con * con * w, con * y, con * z], [con * y, yy, yz], [con * z, yz, zz]];
-        for (block, p, n, first) in
-            [(0, pi, span.norm_squared[0], usize::from(con == 0.0)), (2, pj, span.norm_squared[1], 1)]
-        {
-            let mut trace = 0.0;
-            for axis in first..3 {
-                trace += moments[axis][axis];
-                let mut q = Vector4::zeros();
-                for l in first..3 {
-                    q += p[l] * (4.0 * moments[axis][l]);
-                }
-                for c in 0..4 {
-                    for r in 0..4 {
-                        k.pp[block][(r, c)] -= p[axis][r] * q[c];
-                    }
-                }
-            }
+            k.rr[r][r] = k.rr[r][r] + w;
             for c in 0..4 {
-                k.pp[block][(c, c)] += 4.0 * n * trace;
+                k.rp[0][r][c] = inner(&first, &[ji[0][r][c], ji[1][r][c], ji[2][r][c]]) - g[r][i + c];
+                k.rp[1][r][c] = y.multiply_add(jj[1][r][c], z * jj[2][r][c]) - g[r][j + c];
             }
         }
-        k.pp[0] -= 2.0 * rotation_form(&Matrix3::from_columns(&[u * con, uy, uz]));
-        k.pp[2] += 2.0 * rotation_form(&Matrix3::from_columns(&[Vector3::zeros(), uy, uz]));
+        let (cy, cz) = (con * y, con * z);
+        let second = [[con * first[0], cy, cz], [cy, yy, yz], [cz, yz, zz]];
+        // D_i^T D_j with the connector in the hole of disk i alone.
+        let mut cross = [[zero; 4]; 4];
+        for axis in 0..3 {
+            for r in 0..3 {
+                for c in 0..4 {
+                    let t = second[axis][1].multiply_add(jj[1][r][c], second[axis][2] * jj[2][r][c]);
+                    for q in 0..4 {
+                        cross[q][c] = ji[axis][r][q].multiply_add(t, cross[q][c]);
+                    }
+                }
+            }
+        }
+        for r in 0..4 {
+            for c in 0..4 {
+                k.pp[0][r][c] = -g[i + r.min(c)][i + r.max(c)];
+                k.pp[1][r][c] = g[i + r][j + c] - cross[r][c];
+                k.pp[2][r][c] = -g[j + r.min(c)][j + r.max(c)];
+            }
+        }
+        // D^T D of one end: 4 |p|^2 tr(second) less the products.
+        for axis in 0..3 {
+            let q = combine(second[axis], &product[0]);
+            for r in 0..4 {
+                for c in 0..4 {
+                    k.pp[0][r][c] = (-product[0][axis][r]).multiply_add(q[c], k.pp[0][r][c]);
+                }
+            }
+        }
+        for axis in 1..3 {
+            for c in 0..4 {
+                let q = second[axis][1].multiply_add(product[1][1][c], second[axis][2] * product[1][2][c]);
+                for r in 0..4 {
+                    k.pp[2][r][c] = (-product[1][axis][r]).multiply_add(q, k.pp[2][r][c]);
+                }
+            }
+        }
+        let trace = yy + zz;
+        let trace = [(second[0][0] + trace) * inner(&span.p[0], &span.p[0]), trace * inner(&span.p[1], &span.p[1])];
+        let (of_i, of_j) = (rotation_form([ux, uy, uz]), rotation_form([[zero; 3], uy, uz]));
+        for r in 0..4 {
+            k.pp[0][r][r] = k.pp[0][r][r] + trace[0] * 4.0;
+            k.pp[2][r][r] = k.pp[2][r][r] + trace[1] * 4.0;
+            for c in 0..4 {
+                k.pp[0][r][c] = k.pp[0][r][c] - of_i[r][c] * 2.0;
+                k.pp[2][r][c] = k.pp[2][r][c] + of_j[r][c] * 2.0;
+            }
+        }
         k
     }
 }

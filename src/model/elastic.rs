@@ -6,7 +6,8 @@
 
 use super::arm::Element;
 use crate::config::StrainRule;
-use crate::math::quaternion::{body_rate, conjugate, left, product, right};
+use crate::math::quaternion::{add_right, body_rate_rows, conjugate, left, product, right, times_pure};
+use crate::math::simd::{Columns, Number, inner};
 use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 
 /// The two quaternions of an element and their rates, `p_j` already in the hemisphere of `p_i`.
@@ -79,69 +80,70 @@ pub(super) fn forces(rule: StrainRule, e: &Element, ends: &Ends) -> Forces {
     Forces { elastic: on(&m), damping: on(&md) }
 }
 
-/// Forces on `p_i` and `p_j`, elastic and damping together, and the 4x4 blocks `[ii, ij, ji, jj]` of their tangent.
-pub(super) struct Terms {
-    pub(super) force: [Vector4<f64>; 2],
-    pub(super) tangent: [Matrix4<f64>; 4],
+/// Bending and torsion of an element, or of several side by side.
+pub(super) struct Bending<V> {
+    /// Forces on `p_i` and `p_j`, elastic and damping together.
+    pub(super) force: [[V; 4]; 2],
+    /// Blocks `[ii, ij, ji, jj]` of their tangent, rates weighted with `cg`.
+    pub(super) tangent: [[[V; 4]; 4]; 4],
 }
 
-/// Both forces and their tangent, rates weighted with `cg`.
-#[inline(always)]
-pub(super) fn terms(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> Terms {
-    match rule {
-        StrainRule::VectorPart => terms_vector_part(e, ends, cg),
-        StrainRule::Logarithm => {
-            let Forces { elastic, damping } = forces(rule, e, ends);
-            Terms { force: [elastic[0] + damping[0], elastic[1] + damping[1]], tangent: tangent(rule, e, ends, cg) }
-        }
+impl Bending<f64> {
+    /// By any rule.
+    pub(super) fn of(rule: StrainRule, e: &Element, ends: &Ends, cg: f64) -> Self {
+        let Forces { elastic, damping } = forces(rule, e, ends);
+        let tangent = tangent(rule, e, ends, cg);
+        Self { force: [0, 1].map(|k| (elastic[k] + damping[k]).into()), tangent: tangent.map(|m| m.transpose().into()) }
     }
 }
 
-/// [`terms`] where the curvature is linear in `c`: `kappa = 2 vec(c)/l`, so only `vec(c)` matters, and
-/// `vec(p_i* p_j) = L(p_i) p_j = -L(p_j) p_i` makes the derivatives 3x4.
-#[inline(always)]
-fn terms_vector_part(e: &Element, ends: &Ends, cg: f64) -> Terms {
-    let f = 2.0 / e.length;
-    let (a, ad) = ([-body_rate(&ends.pj), body_rate(&ends.pi)], [-body_rate(&ends.pdj), body_rate(&ends.pdi)]);
-    let c = a[1] * ends.pj;
-    let cd = ad[1] * ends.pj + a[1] * ends.pdj;
-    // l J^T K J on the elastic part, beta l J^T K J on the damping part.
-    let k = e.stiffness * (f * f * e.length);
-    let kd = k * e.damping;
-    let m = k.component_mul(&c) + kd.component_mul(&cd);
-    let m = Vector4::new(0.0, m[0], m[1], m[2]);
-    let total = k + cg * kd;
-    // Loops, for closures that are not inlined would miss the processor's vectors.
-    let mut d = [Matrix3x4::zeros(); 2];
-    for s in 0..2 {
-        for c in 0..4 {
-            for r in 0..3 {
-                d[s][(r, c)] = total[r] * a[s][(r, c)] + kd[r] * ad[s][(r, c)];
+impl<V: Number> Bending<V> {
+    /// Where the curvature is linear in `c`: `kappa = 2 vec(c)/l`, so only `vec(c)` matters, and
+    /// `vec(p_i* p_j) = L(p_i) p_j = -L(p_j) p_i` makes the derivatives 3x4. Both quaternions (`p_j` in the hemisphere of
+    /// `p_i`) and their rates, `[GJ, EI, EI]`, damping (s) and length (m).
+    #[inline(always)]
+    pub(super) fn by_vector_part<W: Columns<Value = V>>(
+        w: W,
+        p: [[V; 4]; 2],
+        pd: [[V; 4]; 2],
+        stiffness: [V; 3],
+        damping: V,
+        length: V,
+        cg: f64,
+    ) -> Self {
+        let zero = w.splat(0.0);
+        let (mut a, mut ad) =
+            ([body_rate_rows(p[1]), body_rate_rows(p[0])], [body_rate_rows(pd[1]), body_rate_rows(pd[0])]);
+        for r in 0..3 {
+            for c in 0..4 {
+                a[0][r][c] = -a[0][r][c];
+                ad[0][r][c] = -ad[0][r][c];
             }
         }
-    }
-    let mixed = right(&m);
-    Terms {
-        force: [product(&ends.pj, &conjugate(&m)), product(&ends.pi, &m)],
-        tangent: [
-            transposed_product(&a[0], &d[0]),
-            transposed_product(&a[0], &d[1]) + mixed.transpose(),
-            transposed_product(&a[1], &d[0]) + mixed,
-            transposed_product(&a[1], &d[1]),
-        ],
-    }
-}
-
-/// `a^T b`.
-#[inline(always)]
-fn transposed_product(a: &Matrix3x4<f64>, b: &Matrix3x4<f64>) -> Matrix4<f64> {
-    let mut m = Matrix4::zeros();
-    for c in 0..4 {
-        for r in 0..4 {
-            m[(r, c)] = a[(0, r)] * b[(0, c)] + a[(1, r)] * b[(1, c)] + a[(2, r)] * b[(2, c)];
+        let mut tangent = [[[zero; 4]; 4]; 4];
+        let mut m = [zero; 3];
+        for r in 0..3 {
+            // l J^T K J on the elastic part, beta l J^T K J on the damping part.
+            let k = stiffness[r] * 4.0 / length;
+            let kd = k * damping;
+            let total = k + kd * cg;
+            let (c, cd) = (inner(&a[1][r], &p[1]), inner(&ad[1][r], &p[1]) + inner(&a[1][r], &pd[1]));
+            m[r] = k.multiply_add(c, kd * cd);
+            for end in 0..2 {
+                for c in 0..4 {
+                    let d = total.multiply_add(a[end][r][c], kd * ad[end][r][c]);
+                    for q in 0..4 {
+                        tangent[end][q][c] = a[0][r][q].multiply_add(d, tangent[end][q][c]);
+                        tangent[2 + end][q][c] = a[1][r][q].multiply_add(d, tangent[2 + end][q][c]);
+                    }
+                }
+            }
         }
+        let back = [-m[0], -m[1], -m[2]];
+        add_right(back, &mut tangent[1]);
+        add_right(m, &mut tangent[2]);
+        Self { force: [times_pure(p[1], back), times_pure(p[0], m)], tangent }
     }
-    m
 }
 
 /// 4x4 blocks `[ii, ij, ji, jj]` of the tangent of both forces, rates weighted with `cg`.

@@ -4,10 +4,10 @@
 //! end minus what they give the node before it in the positions, and each its own in the quaternions.
 
 use super::arm::Arm;
-use super::assembly::Linearization;
-use super::legs::{FORCE, LegGroup, ROWS, WIDE};
+use super::legs::{FORCE, GROUP, LegGroup, ROWS};
+use super::linearize::Linearization;
 use crate::math::block_tridiagonal::COORDINATES;
-use crate::math::simd::{Columns, Lanes, Scalars, dot};
+use crate::math::simd::{Columns, Lanes, Number, Scalars, dot};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
@@ -64,11 +64,11 @@ impl WithSimd for Matrix<'_> {
             for k in 0..FILLED {
                 let Some((row, source, factor)) = from.filled(i, k) else { continue };
                 let row = &mut out[row * nc..][cables.clone()];
-                for (group, row) in legs.iter().zip(row.chunks_mut(WIDE)) {
-                    if row.len() == WIDE && WIDE.is_multiple_of(S::F64_LANES) {
-                        add(Lanes(simd), factor, &group.v[source], row);
+                for (group, row) in legs.iter().zip(row.chunks_mut(GROUP)) {
+                    if row.len() == GROUP && GROUP.is_multiple_of(S::F64_LANES) {
+                        add(Lanes(simd), factor, &group.0[source], row);
                     } else {
-                        add(Scalars, factor, &group.v[source], row);
+                        add(Scalars, factor, &group.0[source], row);
                     }
                 }
             }
@@ -78,10 +78,10 @@ impl WithSimd for Matrix<'_> {
 
 /// `row += factor v` over the row's length.
 #[inline(always)]
-fn add<W: Columns>(w: W, factor: f64, v: &[f64; WIDE], row: &mut [f64]) {
+fn add<W: Columns>(w: W, factor: f64, v: &[f64; GROUP], row: &mut [f64]) {
     let mut c = 0;
     while c < row.len() {
-        let sum = w.multiply_add(w.splat(factor), w.load(&v[c..]), w.load(&row[c..]));
+        let sum = w.splat(factor).multiply_add(w.load(&v[c..]), w.load(&row[c..]));
         w.store(sum, &mut row[c..]);
         c += W::WIDTH;
     }
@@ -135,8 +135,8 @@ fn times<W: Columns>(
 ) -> usize {
     let mut sum = w.load(&row[c..]);
     for (k, cable) in cables.enumerate() {
-        let v = factor * legs[k / WIDE].v[source][k % WIDE];
-        sum = w.multiply_add(w.splat(v), w.load(&t[cable * columns + c..]), sum);
+        let v = factor * legs[k / GROUP].0[source][k % GROUP];
+        sum = w.splat(v).multiply_add(w.load(&t[cable * columns + c..]), sum);
     }
     w.store(sum, &mut row[c..]);
     W::WIDTH
@@ -158,11 +158,11 @@ impl WithSimd for Force<'_> {
         out.fill(0.0);
         for (i, e) in arm.elements.iter().enumerate() {
             let mut pull = [0.0; ROWS];
-            for (group, u) in from.legs[e.groups.clone()].iter().zip(u[arm.cables(e)].chunks(WIDE)) {
-                let mut tensions = [0.0; WIDE];
+            for (group, u) in from.legs[e.groups.clone()].iter().zip(u[arm.cables(e)].chunks(GROUP)) {
+                let mut tensions = [0.0; GROUP];
                 tensions[..u.len()].copy_from_slice(u);
                 for r in 0..ROWS {
-                    pull[r] += dot(simd, &group.v[r], &tensions);
+                    pull[r] += dot(simd, &group.0[r], &tensions);
                 }
             }
             for k in 0..FILLED {

@@ -1,153 +1,157 @@
-//! All cables of an element at once: their legs in vectors of cables, and the sums over them that the tangent needs.
+//! Cables in elements that stand side by side: their legs, one cable of each element in a vector, and the sums over the
+//! cables that the tangent needs.
 //!
-//! Enters: an element's [`Span`], the holes in groups of [`WIDE`], tensions. Leaves: [`LegGroup`]s, from which the input
-//! matrix is read, and [`Sums`]. With `v = [e; a_i; a_j]` (11 numbers per cable: direction, and its derivative towards both
-//! quaternions) a unit tension's force is `[e; a_i; -e; -a_j]`, and the part of the tangent that comes from the direction is
-//! the sum of `w v v^T` over the cables, `w = u/length`: 66 products of which each is one for a whole group.
-//! Must never: allocate.
+//! Enters: the elements' [`Span`]s, holes, tensions. Leaves: [`LegGroup`]s, from which the input matrix is read, and
+//! [`Sums`]. With `v = [e; a_i; a_j]` (11 numbers per cable: direction, and its derivative towards both quaternions) a unit
+//! tension's force is `[e; a_i; -e; -a_j]`, and the part of the tangent that comes from the direction is the sum of
+//! `w v v^T` over the cables, `w = u/length`.
+//! Must never: allocate after [`Passages::new`].
 
-use super::arm::HolePass;
+use super::arm::Arm;
 use super::cables::Span;
-use crate::math::simd::Columns;
+use super::linearize::WIDEST;
+use crate::math::simd::{Columns, Number};
+use std::ops::Range;
 
-/// Cables in a group. Groups at an element's end are filled up with its last hole, at no tension.
-pub(super) const WIDE: usize = 4;
+/// Cables in a group of an element's legs; an element's last group may be filled up with zeros.
+pub(super) const GROUP: usize = 4;
 /// Rows of `v`: direction, force on `p_i`, force on `p_j`.
 pub(super) const ROWS: usize = 11;
 /// Where the quaternions' rows begin.
 pub(super) const FORCE: [usize; 2] = [3, 7];
 
-/// Holes of a group of cables, coordinates y and z in the disks' frame (m).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct HoleGroup {
-    y: [f64; WIDE],
-    z: [f64; WIDE],
-}
-
-impl HoleGroup {
-    /// Groups of an element's passages, filled up.
-    pub(super) fn of(passes: &[HolePass]) -> impl Iterator<Item = Self> + '_ {
-        passes.chunks(WIDE).map(|group| {
-            let hole = |l: usize| group[l.min(group.len() - 1)].hole;
-            Self { y: std::array::from_fn(|l| hole(l)[1]), z: std::array::from_fn(|l| hole(l)[2]) }
-        })
-    }
-}
-
-/// Legs of a group of cables.
+/// Legs of a group of an element's cables: rows of `v`.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct LegGroup {
-    /// Rows of `v`.
-    pub(super) v: [[f64; WIDE]; ROWS],
-    /// Tension (N).
-    tension: [f64; WIDE],
-    /// Tension over length (N/m).
-    weight: [f64; WIDE],
-}
+pub(super) struct LegGroup(pub(super) [[f64; GROUP]; ROWS]);
 
 impl LegGroup {
-    pub(super) const ZERO: Self = Self { v: [[0.0; WIDE]; ROWS], tension: [0.0; WIDE], weight: [0.0; WIDE] };
+    pub(super) const ZERO: Self = Self([[0.0; GROUP]; ROWS]);
+}
 
-    /// Fills the groups of one element; `tensions` are those of its cables, in order.
-    #[inline(always)]
-    pub(super) fn fill<W: Columns>(w: W, span: &Span, holes: &[HoleGroup], tensions: &[f64], groups: &mut [Self]) {
-        for ((group, hole), tensions) in groups.iter_mut().zip(holes).zip(tensions.chunks(WIDE)) {
-            group.tension = [0.0; WIDE];
-            group.tension[..tensions.len()].copy_from_slice(tensions);
-            let mut c = 0;
-            while c < WIDE {
-                let leg = span.legs(w, w.load(&hole.y[c..]), w.load(&hole.z[c..]));
-                for k in 0..3 {
-                    w.store(leg.direction[k], &mut group.v[k][c..]);
-                }
-                for (at, force) in FORCE.iter().zip(&leg.forces) {
-                    for k in 0..4 {
-                        w.store(force[k], &mut group.v[at + k][c..]);
-                    }
-                }
-                w.store(w.divide(w.load(&group.tension[c..]), leg.length), &mut group.weight[c..]);
-                c += W::WIDTH;
+/// Where an arm's cables pass its elements: the k-th cable of each element in a row, which ends with what fills the last
+/// vector. Where an element has fewer, there is a hole in the middle, at no tension.
+#[derive(Debug, Clone)]
+pub(super) struct Passages {
+    /// Length of a row.
+    length: usize,
+    /// Coordinates of the holes in the disks' frame (m), and tensions (N).
+    y: Vec<f64>,
+    z: Vec<f64>,
+    tension: Vec<f64>,
+    /// `v` and `u/length` of the elements at work, cable for cable.
+    v: Vec<[[f64; WIDEST]; ROWS]>,
+    weight: Vec<[f64; WIDEST]>,
+}
+
+/// Sums over the cables of an element, or of several side by side.
+pub(super) struct Sums<V> {
+    /// `sum w v v^T`, upper triangle.
+    pub(super) gram: [[V; ROWS]; ROWS],
+    /// `sum w [1, h_y, h_z, h_y^2, h_y h_z, h_z^2]`.
+    pub(super) moments: [V; 6],
+    /// `sum u e [1, h_y, h_z]`.
+    pub(super) pull: [[V; 3]; 3],
+}
+
+impl Passages {
+    /// Allocates.
+    pub(super) fn new(arm: &Arm) -> Self {
+        let length = arm.node_count().next_multiple_of(WIDEST);
+        let most = arm.elements.iter().map(|e| e.passes.len()).max().unwrap_or(0);
+        let row = vec![0.0; most * length];
+        Self {
+            length,
+            y: row.clone(),
+            z: row.clone(),
+            tension: row,
+            v: vec![[[0.0; WIDEST]; ROWS]; most],
+            weight: vec![[0.0; WIDEST]; most],
+        }
+    }
+
+    /// Takes holes and tensions.
+    pub(super) fn gather(&mut self, arm: &Arm, u: &[f64]) {
+        for (i, e) in arm.elements.iter().enumerate() {
+            for (k, pass) in arm.passes[e.passes.clone()].iter().enumerate() {
+                let at = k * self.length + i;
+                (self.y[at], self.z[at], self.tension[at]) = (pass.hole[1], pass.hole[2], u[pass.cable]);
             }
         }
     }
-}
 
-/// Sums over the cables of an element.
-pub(super) struct Sums {
-    /// `sum w v v^T`, upper triangle.
-    pub(super) gram: [[f64; ROWS]; ROWS],
-    /// `sum w [1, h_y, h_z, h_y^2, h_y h_z, h_z^2]`.
-    pub(super) moments: [f64; 6],
-    /// `sum u e [1, h_y, h_z]`.
-    pub(super) pull: [[f64; 3]; 3],
-}
-
-impl Sums {
+    /// Legs and sums of the elements from `i` on.
     #[inline(always)]
-    pub(super) fn of<W: Columns>(w: W, holes: &[HoleGroup], groups: &[LegGroup]) -> Self {
-        let mut sums = Self { gram: [[0.0; ROWS]; ROWS], moments: [0.0; 6], pull: [[0.0; 3]; 3] };
-        let gram = &mut sums.gram;
-        gram_row::<W, 0>(w, groups, gram);
-        gram_row::<W, 1>(w, groups, gram);
-        gram_row::<W, 2>(w, groups, gram);
-        gram_row::<W, 3>(w, groups, gram);
-        gram_row::<W, 4>(w, groups, gram);
-        gram_row::<W, 5>(w, groups, gram);
-        gram_row::<W, 6>(w, groups, gram);
-        gram_row::<W, 7>(w, groups, gram);
-        gram_row::<W, 8>(w, groups, gram);
-        gram_row::<W, 9>(w, groups, gram);
-        gram_row::<W, 10>(w, groups, gram);
+    pub(super) fn sums<W: Columns>(&mut self, w: W, arm: &Arm, i: usize, span: &Span<W::Value>) -> Sums<W::Value> {
         let zero = w.splat(0.0);
+        let mut most = 0;
+        for e in &arm.elements[i..arm.elements.len().min(i + W::WIDTH)] {
+            most = most.max(e.passes.len());
+        }
         let (mut moments, mut pull) = ([zero; 6], [[zero; 3]; 3]);
-        for (group, hole) in groups.iter().zip(holes) {
-            let mut c = 0;
-            while c < WIDE {
-                let (y, z) = (w.load(&hole.y[c..]), w.load(&hole.z[c..]));
-                let weight = w.load(&group.weight[c..]);
-                let (wy, wz) = (w.multiply(weight, y), w.multiply(weight, z));
-                let one = w.splat(1.0);
-                let factors = [(weight, one), (wy, one), (wz, one), (wy, y), (wy, z), (wz, z)];
-                for k in 0..6 {
-                    moments[k] = w.multiply_add(factors[k].0, factors[k].1, moments[k]);
-                }
-                let tension = w.load(&group.tension[c..]);
-                for k in 0..3 {
-                    let u = w.multiply(tension, w.load(&group.v[k][c..]));
-                    pull[0][k] = w.multiply_add(u, one, pull[0][k]);
-                    pull[1][k] = w.multiply_add(u, y, pull[1][k]);
-                    pull[2][k] = w.multiply_add(u, z, pull[2][k]);
-                }
-                c += W::WIDTH;
-            }
-        }
-        for k in 0..6 {
-            sums.moments[k] = w.sum(moments[k]);
-        }
-        for k in 0..3 {
+        for k in 0..most {
+            let at = k * self.length + i;
+            let (y, z, tension) = (w.load(&self.y[at..]), w.load(&self.z[at..]), w.load(&self.tension[at..]));
+            let leg = span.leg(y, z);
+            let (v, weight) = (&mut self.v[k], tension / leg.length);
+            w.store(weight, &mut self.weight[k]);
             for c in 0..3 {
-                sums.pull[k][c] = w.sum(pull[k][c]);
+                w.store(leg.direction[c], &mut v[c]);
+                let force = tension * leg.direction[c];
+                pull[0][c] = pull[0][c] + force;
+                pull[1][c] = force.multiply_add(y, pull[1][c]);
+                pull[2][c] = force.multiply_add(z, pull[2][c]);
             }
+            for end in 0..2 {
+                for c in 0..4 {
+                    w.store(leg.forces[end][c], &mut v[FORCE[end] + c]);
+                }
+            }
+            let (of_y, of_z) = (weight * y, weight * z);
+            moments[0] = moments[0] + weight;
+            moments[1] = moments[1] + of_y;
+            moments[2] = moments[2] + of_z;
+            moments[3] = of_y.multiply_add(y, moments[3]);
+            moments[4] = of_y.multiply_add(z, moments[4]);
+            moments[5] = of_z.multiply_add(z, moments[5]);
         }
+        let mut sums = Sums { gram: [[zero; ROWS]; ROWS], moments, pull };
+        self.gram_row::<W, 0>(w, most, &mut sums.gram);
+        self.gram_row::<W, 1>(w, most, &mut sums.gram);
+        self.gram_row::<W, 2>(w, most, &mut sums.gram);
+        self.gram_row::<W, 3>(w, most, &mut sums.gram);
+        self.gram_row::<W, 4>(w, most, &mut sums.gram);
+        self.gram_row::<W, 5>(w, most, &mut sums.gram);
+        self.gram_row::<W, 6>(w, most, &mut sums.gram);
+        self.gram_row::<W, 7>(w, most, &mut sums.gram);
+        self.gram_row::<W, 8>(w, most, &mut sums.gram);
+        self.gram_row::<W, 9>(w, most, &mut sums.gram);
+        self.gram_row::<W, 10>(w, most, &mut sums.gram);
         sums
     }
-}
 
-/// Row R of the upper triangle, its sums in registers meanwhile.
-#[inline(always)]
-fn gram_row<W: Columns, const R: usize>(w: W, groups: &[LegGroup], gram: &mut [[f64; ROWS]; ROWS]) {
-    let mut sums = [w.splat(0.0); ROWS];
-    for group in groups {
-        let mut c = 0;
-        while c < WIDE {
-            let row = w.multiply(w.load(&group.weight[c..]), w.load(&group.v[R][c..]));
+    /// Row R of the upper triangle, its sums in registers meanwhile.
+    #[inline(always)]
+    fn gram_row<W: Columns, const R: usize>(&self, w: W, most: usize, gram: &mut [[W::Value; ROWS]; ROWS]) {
+        let mut sums = [w.splat(0.0); ROWS];
+        for (v, weight) in self.v[..most].iter().zip(&self.weight) {
+            let row = w.load(weight) * w.load(&v[R]);
             for k in R..ROWS {
-                sums[k] = w.multiply_add(row, w.load(&group.v[k][c..]), sums[k]);
+                sums[k] = row.multiply_add(w.load(&v[k]), sums[k]);
             }
-            c += W::WIDTH;
         }
+        gram[R] = sums;
     }
-    for k in R..ROWS {
-        gram[R][k] = w.sum(sums[k]);
+
+    /// Puts the legs of the elements that [`Passages::sums`] had into their groups.
+    #[inline(always)]
+    pub(super) fn keep(&self, arm: &Arm, elements: Range<usize>, legs: &mut [LegGroup]) {
+        for (l, e) in arm.elements[elements].iter().enumerate() {
+            let groups = &mut legs[e.groups.clone()];
+            for (k, v) in self.v[..e.passes.len()].iter().enumerate() {
+                for (row, v) in groups[k / GROUP].0.iter_mut().zip(v) {
+                    row[k % GROUP] = v[l];
+                }
+            }
+        }
     }
 }

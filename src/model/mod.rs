@@ -15,10 +15,12 @@ mod elastic;
 mod inertia;
 mod input;
 mod legs;
+mod linearize;
 mod outputs;
 mod state;
 
 pub use arm::{Arm, Element, HolePass, Node};
-pub use assembly::{Linearization, Motion, Rates};
+pub use assembly::Motion;
+pub use linearize::{Linearization, Rates};
 pub use outputs::{CurvatureSensitivity, Outputs};
 pub use state::State;

@@ -8,7 +8,7 @@
 use super::problem::Quadratic;
 use crate::collision::{ObstacleSet, Proximity, penalty};
 use crate::config::SwarmConfig;
-use crate::math::simd::{Columns, Lanes, Scalars};
+use crate::math::simd::{Columns, Lanes, Number, Scalars};
 use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 use rand::{Rng, RngExt};
@@ -546,14 +546,14 @@ fn quadratic_cost<C: Columns, const B: usize>(
             for k in 0..ROWS {
                 let f = w.splat(a[k][d]);
                 for v in 0..B {
-                    sum[k][v] = w.multiply_add(f, x[v], sum[k][v]);
+                    sum[k][v] = f.multiply_add(x[v], sum[k][v]);
                 }
             }
         }
         for k in 0..rows {
             for v in 0..B {
                 let x = w.load(&position[(i + k) * stride + j + v * C::WIDTH..]);
-                total[v] = w.multiply_add(x, sum[k][v], total[v]);
+                total[v] = x.multiply_add(sum[k][v], total[v]);
             }
         }
         i += ROWS;
@@ -583,7 +583,7 @@ fn place_points<C: Columns, const B: usize>(
         for c in 0..3 {
             let f = w.splat(slope[c * n + d]);
             for v in 0..B {
-                at[c][v] = w.multiply_add(f, u[v], at[c][v]);
+                at[c][v] = f.multiply_add(u[v], at[c][v]);
             }
         }
     }
