@@ -39,22 +39,6 @@ impl Block {
             }
         }
     }
-
-    /// Writes `factor * m` with its corner at (row, column).
-    #[inline(always)]
-    pub fn set<const R: usize, const C: usize>(
-        &mut self,
-        row: usize,
-        column: usize,
-        m: &nalgebra::SMatrix<f64, R, C>,
-        factor: f64,
-    ) {
-        for r in 0..R {
-            for c in 0..C {
-                self.0[row + r][column + c] = factor * m[(r, c)];
-            }
-        }
-    }
 }
 
 impl Index<(usize, usize)> for Block {

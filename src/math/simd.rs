@@ -5,7 +5,7 @@
 //! never between runs on one.
 
 use pulp::Simd;
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use std::ops::{Add, Mul, Neg, Sub};
 
 /// `y += f x`, over the shorter of the two. Does not allocate.
 #[inline(always)]
@@ -56,17 +56,13 @@ pub fn add_four<S: Simd>(simd: S, f: [f64; 4], x: [&[f64]; 4], y: &mut [f64]) {
 
 /// A number, or several side by side, each its own: what kernels and the model's formulas are written in.
 pub(crate) trait Number:
-    Copy
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-    + Mul<f64, Output = Self>
-    + Neg<Output = Self>
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Mul<f64, Output = Self> + Neg<Output = Self>
 {
     /// `self b + c`, rounded once where the processor can.
     fn multiply_add(self, b: Self, c: Self) -> Self;
     fn square_root(self) -> Self;
+    /// `1 / self`.
+    fn inverse(self) -> Self;
 }
 
 impl Number for f64 {
@@ -77,6 +73,10 @@ impl Number for f64 {
     #[inline(always)]
     fn square_root(self) -> f64 {
         self.sqrt()
+    }
+    #[inline(always)]
+    fn inverse(self) -> f64 {
+        1.0 / self
     }
 }
 
@@ -152,6 +152,10 @@ impl<S: Simd> Number for Vector<S> {
     fn square_root(self) -> Self {
         Self(self.0, self.0.sqrt_f64s(self.1))
     }
+    #[inline(always)]
+    fn inverse(self) -> Self {
+        Self(self.0, self.0.div_f64s(self.0.splat_f64s(1.0), self.1))
+    }
 }
 
 impl<S: Simd> Add for Vector<S> {
@@ -183,14 +187,6 @@ impl<S: Simd> Mul<f64> for Vector<S> {
     #[inline(always)]
     fn mul(self, b: f64) -> Self {
         Self(self.0, self.0.mul_f64s(self.1, self.0.splat_f64s(b)))
-    }
-}
-
-impl<S: Simd> Div for Vector<S> {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, b: Self) -> Self {
-        Self(self.0, self.0.div_f64s(self.1, b.1))
     }
 }
 

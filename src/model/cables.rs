@@ -30,6 +30,8 @@ pub(super) struct Leg<V> {
     pub(super) direction: [V; 3],
     /// Distance between the holes (m).
     pub(super) length: V,
+    /// One over it (1/m).
+    pub(super) inverse: V,
     /// `D_i^T e` and `D_j^T e`: what a unit tension does to the quaternions; the length's derivative is minus the first
     /// and plus the second.
     pub(super) forces: [[V; 4]; 2],
@@ -110,13 +112,14 @@ impl<V: Number> Span<V> {
             d[k] = ay[k].multiply_add(y, az[k].multiply_add(z, d[k]));
         }
         let length = inner(&d, &d).square_root();
-        let direction = [d[0] / length, d[1] / length, d[2] / length];
+        let inverse = length.inverse();
+        let direction = [d[0] * inverse, d[1] * inverse, d[2] * inverse];
         let (i, [_, jy, jz]) = (combine([self.connector, y, z], &self.product[0]), &self.product[1]);
         let mut j = *jy;
         for k in 0..4 {
             j[k] = jy[k].multiply_add(y, jz[k] * z);
         }
-        Leg { direction, length, forces: [pure_times(direction, i), pure_times(direction, j)] }
+        Leg { direction, length, inverse, forces: [pure_times(direction, i), pure_times(direction, j)] }
     }
 }
 

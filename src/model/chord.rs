@@ -58,7 +58,7 @@ impl<V: Number> Chord<V> {
             for c in 0..4 {
                 s[c] = s[c] + p[1][c];
             }
-            chord.add_middle(s, w.splat(1.0) / inner(&s, &s), share * 4.0, form);
+            chord.add_middle(s, inner(&s, &s).inverse(), share * 4.0, form);
         }
         chord
     }

@@ -120,22 +120,29 @@ impl<V: Number> Bending<V> {
                 ad[0][r][c] = -ad[0][r][c];
             }
         }
-        let mut tangent = [[[zero; 4]; 4]; 4];
+        let four_over_length = length.inverse() * 4.0;
+        let mut d = [[[zero; 4]; 3]; 2];
         let mut m = [zero; 3];
         for r in 0..3 {
             // l J^T K J on the elastic part, beta l J^T K J on the damping part.
-            let k = stiffness[r] * 4.0 / length;
+            let k = stiffness[r] * four_over_length;
             let kd = k * damping;
             let total = k + kd * cg;
             let (c, cd) = (inner(&a[1][r], &p[1]), inner(&ad[1][r], &p[1]) + inner(&a[1][r], &pd[1]));
             m[r] = k.multiply_add(c, kd * cd);
             for end in 0..2 {
                 for c in 0..4 {
-                    let d = total.multiply_add(a[end][r][c], kd * ad[end][r][c]);
-                    for q in 0..4 {
-                        tangent[end][q][c] = a[0][r][q].multiply_add(d, tangent[end][q][c]);
-                        tangent[2 + end][q][c] = a[1][r][q].multiply_add(d, tangent[2 + end][q][c]);
-                    }
+                    d[end][r][c] = total.multiply_add(a[end][r][c], kd * ad[end][r][c]);
+                }
+            }
+        }
+        let mut tangent = [[[zero; 4]; 4]; 4];
+        for end in 0..2 {
+            for c in 0..4 {
+                let d = [d[end][0][c], d[end][1][c], d[end][2][c]];
+                for q in 0..4 {
+                    tangent[end][q][c] = inner(&[a[0][0][q], a[0][1][q], a[0][2][q]], &d);
+                    tangent[2 + end][q][c] = inner(&[a[1][0][q], a[1][1][q], a[1][2][q]], &d);
                 }
             }
         }

@@ -92,7 +92,7 @@ impl Passages {
             let at = k * self.length + i;
             let (y, z, tension) = (w.load(&self.y[at..]), w.load(&self.z[at..]), w.load(&self.tension[at..]));
             let leg = span.leg(y, z);
-            let (v, weight) = (&mut self.v[k], tension / leg.length);
+            let (v, weight) = (&mut self.v[k], tension * leg.inverse);
             w.store(weight, &mut self.weight[k]);
             for c in 0..3 {
                 w.store(leg.direction[c], &mut v[c]);

@@ -5,12 +5,12 @@
 //! Must never: allocate after [`Linearization::new`].
 
 use super::arm::{Arm, Element};
-use super::assembly::{Motion, ends};
 use super::cables::{Span, Stiffness};
 use super::chord::Chord;
 use super::elastic::Bending;
 use super::inertia;
 use super::legs::{LegGroup, Passages};
+use super::terms::{Motion, ends};
 use crate::config::StrainRule;
 use crate::math::block_tridiagonal::{BLOCK, BlockTridiagonal, COORDINATES};
 use crate::math::simd::{Columns, Lanes, Scalars, inner};
@@ -79,7 +79,7 @@ impl Arm {
     }
 }
 
-/// Elements side by side at most.
+/// Most elements side by side.
 pub(super) const WIDEST: usize = 4;
 
 /// What nodes and elements bring along, number for number in rows: a row has a node after the other, the base first, and an
@@ -92,17 +92,16 @@ struct Nodes {
     rows: Vec<f64>,
 }
 
-// The rows, by what they begin with.
+// The rows: coordinates, rates, accelerations, multipliers, the flip's sign; constants.
 const POSITION: usize = 0;
 const QUATERNION: usize = 3;
 const RATE: usize = 7;
 const ACCELERATION: usize = 14;
 const MULTIPLIER: usize = 21;
-/// Sign of the flip, and behind it length and connector.
 const SIGN: usize = 25;
-const STIFFNESS: usize = 28;
-/// Damping, and behind it mass.
-const DAMPING: usize = 31;
+/// Length, connector, damping, mass; then stiffnesses and inertias.
+const ELEMENT: usize = 26;
+const STIFFNESS: usize = 30;
 const INERTIA: usize = 33;
 const NODE_ROWS: usize = 36;
 
@@ -114,7 +113,7 @@ impl Nodes {
             for (node, x) in row.iter_mut().enumerate().skip(n + 1) {
                 *x = match k {
                     POSITION => (node - n) as f64,
-                    k if k == QUATERNION || k == SIGN || k == SIGN + 1 => 1.0,
+                    QUATERNION | SIGN | ELEMENT => 1.0,
                     _ => 0.0,
                 };
             }
@@ -122,26 +121,33 @@ impl Nodes {
         Self { length, rows }
     }
 
-    fn set(&mut self, first: usize, node: usize, values: &[f64]) {
-        for (k, value) in values.iter().enumerate() {
-            self.rows[(first + k) * self.length + node] = *value;
+    fn gather(&mut self, arm: &Arm, m: &Motion<'_>, signs: &mut [f64]) {
+        for i in 0..arm.node_count() {
+            signs[i] = ends(arm, m.q, m.qd, i).1;
+        }
+        self.take(POSITION, 7, m.q);
+        self.take(RATE, 7, m.qd);
+        self.take(ACCELERATION, 7, m.qdd);
+        self.take(MULTIPLIER, 4, m.lambda);
+        self.take(SIGN, 1, signs);
+        for (c, base) in arm.base_position.iter().chain(&arm.base_quaternion).enumerate() {
+            self.rows[(POSITION + c) * self.length] = *base;
+        }
+        for (i, (e, node)) in arm.elements.iter().zip(&arm.nodes).enumerate() {
+            let ([kx, ky, kz], [jx, jy, jz]) = (e.stiffness.into(), node.inertia.into());
+            let constants = [e.length, e.connector, e.damping, node.mass, kx, ky, kz, jx, jy, jz];
+            for (row, x) in self.rows[ELEMENT * self.length..].chunks_exact_mut(self.length).zip(constants) {
+                row[i + 1] = x;
+            }
         }
     }
 
-    fn gather(&mut self, arm: &Arm, m: &Motion<'_>, signs: &mut [f64]) {
-        self.set(POSITION, 0, arm.base_position.as_slice());
-        self.set(QUATERNION, 0, arm.base_quaternion.as_slice());
-        for (i, (e, node)) in arm.elements.iter().zip(&arm.nodes).enumerate() {
-            let coordinates = COORDINATES * i..COORDINATES * (i + 1);
-            signs[i] = ends(arm, m.q, m.qd, i).1;
-            self.set(POSITION, i + 1, &m.q[coordinates.clone()]);
-            self.set(RATE, i + 1, &m.qd[coordinates.clone()]);
-            self.set(ACCELERATION, i + 1, &m.qdd[coordinates]);
-            self.set(MULTIPLIER, i + 1, &m.lambda[4 * i..4 * (i + 1)]);
-            self.set(SIGN, i + 1, &[signs[i], e.length, e.connector]);
-            self.set(STIFFNESS, i + 1, e.stiffness.as_slice());
-            self.set(DAMPING, i + 1, &[e.damping, node.mass]);
-            self.set(INERTIA, i + 1, node.inertia.as_slice());
+    /// Fills rows from numbers that stand node by node.
+    fn take(&mut self, first: usize, count: usize, from: &[f64]) {
+        for (c, row) in self.rows[first * self.length..].chunks_exact_mut(self.length).take(count).enumerate() {
+            for (x, from) in row[1..].iter_mut().zip(from.chunks_exact(count)) {
+                *x = from[c];
+            }
         }
     }
 
@@ -159,26 +165,24 @@ impl Nodes {
 /// Numbers of elements side by side, and behind them that of the element behind.
 type Row = [f64; 2 * WIDEST];
 
-/// Entries of the tangent and of the left side from elements side by side. Quaternions of an element's end are flipped as
-/// their node has them.
+/// Entries of the tangent and of the left side from elements side by side, with the signs of the nodes' quaternions.
 #[derive(Debug, Clone)]
 #[repr(align(64))]
 struct Entries {
-    /// What an element adds at the node before it, and what its end sees of that: for the node before, that of the element
-    /// behind it counts.
+    /// What an element adds at the node before it. A node gets that of the element behind it.
     rr: [[Row; 3]; 3],
     r_before: [[Row; 4]; 3],
     before_before: [[Row; 4]; 4],
     f_before: [Row; COORDINATES],
     pull_before: [Row; COORDINATES],
-    /// At its end.
+    /// What it adds at its end, and between the two.
     r_end: [[Row; 4]; 3],
     end_end: [[Row; 4]; 4],
     before_end: [[Row; 4]; 4],
     end_before: [[Row; 4]; 4],
     f_end: [Row; BLOCK],
     pull_end: [Row; COORDINATES],
-    /// Constraints: the chord's derivatives, half of the norm's.
+    /// Derivatives of its constraints, the chord and the norm at its end.
     chord_before: [[Row; 4]; 3],
     chord_end: [[Row; 4]; 3],
     norm: [Row; 4],
@@ -213,9 +217,18 @@ impl Entries {
     }
 }
 
+#[inline(always)]
+fn store<W: Columns, const R: usize, const C: usize>(w: W, m: &[[W::Value; C]; R], rows: &mut [[Row; C]; R]) {
+    for r in 0..R {
+        for c in 0..C {
+            w.store(m[r][c], &mut rows[r][c]);
+        }
+    }
+}
+
 /// Stores `factor` times a matrix.
 #[inline(always)]
-fn store<W: Columns, const R: usize, const C: usize>(
+fn store_times<W: Columns, const R: usize, const C: usize>(
     w: W,
     factor: W::Value,
     m: &[[W::Value; C]; R],
@@ -255,7 +268,7 @@ impl Linearizing<'_> {
             first -= W::WIDTH;
             // What the element behind the last of these adds is that of the first of the ones before.
             self.out.entries.each_before(|row| row[W::WIDTH] = row[0]);
-            self.elements(w, first);
+            self.evaluate(w, first);
             let last = n.min(first + W::WIDTH);
             if last < first + W::WIDTH {
                 self.out.entries.each_before(|row| row[last - first..].fill(0.0));
@@ -269,11 +282,10 @@ impl Linearizing<'_> {
 
     /// Entries of the elements from `i` on.
     #[inline(always)]
-    fn elements<W: Columns>(&mut self, w: W, i: usize) {
+    fn evaluate<W: Columns>(&mut self, w: W, i: usize) {
         let Self { arm, motion, rates, out } = self;
         let Linearization { nodes, passages, entries, scale, .. } = &mut **out;
-        let [sign, length, connector] = nodes.load(w, SIGN, i + 1);
-        let [damping, mass] = nodes.load(w, DAMPING, i + 1);
+        let [sign, length, connector, damping, mass] = nodes.load(w, SIGN, i + 1);
         let (stiffness, inertia) = (nodes.load(w, STIFFNESS, i + 1), nodes.load(w, INERTIA, i + 1));
         let (p_before, pd_before): ([W::Value; 4], [W::Value; 4]) =
             (nodes.load(w, QUATERNION, i), nodes.load(w, RATE + 3, i));
@@ -289,15 +301,15 @@ impl Linearizing<'_> {
 
         let chord = Chord::new(w, arm.chord, [p_before, p], length, connector, mu);
         let [chord_before, chord_end] = &chord.jacobian;
-        store(w, s, chord_before, &mut entries.chord_before);
-        store(w, s * sign, chord_end, &mut entries.chord_end);
+        store_times(w, s, chord_before, &mut entries.chord_before);
+        store_times(w, s * sign, chord_end, &mut entries.chord_end);
 
         let span = Span::new(connector, r, [p_before, p]);
         let sums = passages.sums(w, arm, i, &span);
         let k = Stiffness::new(w, &span, &sums);
-        store(w, one, &k.rr, &mut entries.rr);
-        store(w, one, &k.rp[0], &mut entries.r_before);
-        store(w, sign, &k.rp[1], &mut entries.r_end);
+        store(w, &k.rr, &mut entries.rr);
+        store(w, &k.rp[0], &mut entries.r_before);
+        store_times(w, sign, &k.rp[1], &mut entries.r_end);
         for c in 0..3 {
             w.store(k.pull[c], &mut entries.pull_before[c]);
             w.store(-k.pull[c], &mut entries.pull_end[c]);
@@ -323,9 +335,9 @@ impl Linearizing<'_> {
                 end_end[r][c] = end_end[r][c] + chord.hessian[2][r][c] + k.pp[2][r][c];
             }
         }
-        store(w, one, &before_before, &mut entries.before_before);
-        store(w, sign, &before_end, &mut entries.before_end);
-        store(w, sign, &end_before, &mut entries.end_before);
+        store(w, &before_before, &mut entries.before_before);
+        store_times(w, sign, &before_end, &mut entries.before_end);
+        store_times(w, sign, &end_before, &mut entries.end_before);
 
         // The node at the end: inertia, damping by mass, norm.
         let alpha = arm.damping_mass;
@@ -335,7 +347,7 @@ impl Linearizing<'_> {
             end_end[c][c] = end_end[c][c] + of_norm * 2.0;
         }
         inertia::add_tangent(inertia, p, pd, x, rates.cb + alpha * rates.cg, rates.cg, &mut end_end);
-        store(w, one, &end_end, &mut entries.end_end);
+        store(w, &end_end, &mut entries.end_end);
         let (turning, gyroscopic) = (inertia::mass_times(inertia, p, x), inertia::gyroscopic(inertia, p, pd));
         let rates: [W::Value; 3] = nodes.load(w, RATE, i + 1);
         let accelerations: [W::Value; 3] = nodes.load(w, ACCELERATION, i + 1);
@@ -364,6 +376,7 @@ impl Linearizing<'_> {
         let Self { arm, rates, out, .. } = self;
         let Linearization { tangent, f, pull, entries: e, scale, .. } = &mut **out;
         let mass = arm.nodes[i].mass * (rates.cb + arm.damping_mass * rates.cg);
+        assert!(l < WIDEST);
         let behind = l + 1;
         let d = &mut tangent.diagonal[i];
         for r in 0..3 {
@@ -446,4 +459,60 @@ fn by_logarithm<W: Columns>(w: W, arm: &Arm, m: &Motion<'_>, cg: f64, i: usize) 
         }
     }
     bending
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{ArmConfig, ChordRule, Routing};
+    use crate::model::State;
+    use rand::{RngExt, SeedableRng};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    /// What the processor of the test has, and single numbers, which an old one has: the same equations, whatever is left
+    /// over in the last vector.
+    #[test]
+    fn elements_side_by_side_have_the_equations_of_one_after_the_other() {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(5);
+        for (chord, strain, routing) in [
+            (ChordRule::Simpson, StrainRule::VectorPart, Routing::Local),
+            (ChordRule::Trapezoid, StrainRule::VectorPart, Routing::Through),
+            (ChordRule::Simpson, StrainRule::Logarithm, Routing::Through),
+        ] {
+            for elements in 1..=5 {
+                let mut config = ArmConfig { chord, strain, routing, damping_mass_1ps: 0.3, ..ArmConfig::paper() };
+                config.segments.truncate(3);
+                config.segments.iter_mut().for_each(|s| s.elements = elements);
+                let arm = Arm::new(&config);
+                let mut state = State::at_rest(arm.bent(&[0.8, -0.5, 0.2, 1.1, -0.7, 0.4]));
+                for i in 0..arm.node_count() {
+                    let flip = if rng.random_bool(0.5) { -1.0 } else { 1.0 };
+                    state.q[7 * i + 3..7 * i + 7].iter_mut().for_each(|p| *p *= flip);
+                }
+                for x in [&mut state.q, &mut state.qd, &mut state.qdd, &mut state.lambda] {
+                    x.iter_mut().for_each(|x| *x += rng.random_range(-0.02..0.02));
+                }
+                let u: Vec<f64> = (0..arm.cable_count()).map(|_| rng.random_range(0.0..200.0)).collect();
+                let (motion, rates) = (Motion::from(&state), Rates { cg: 20.0, cb: 400.0 });
+                let [mut one, mut other] = [Linearization::new(&arm), Linearization::new(&arm)];
+                (one.scale, other.scale) = (50.0, 50.0);
+                arm.linearize(&motion, &u, rates, &mut one);
+                other.nodes.gather(&arm, &motion, &mut other.sign);
+                other.passages.gather(&arm, &u);
+                Arch::Scalar.dispatch(Linearizing { arm: &arm, motion: &motion, rates, out: &mut other });
+                let x: Vec<f64> = (0..BLOCK * arm.node_count()).map(|_| rng.random_range(-1.0..1.0)).collect();
+                let products = [&one, &other].map(|l| {
+                    let mut y = vec![0.0; x.len()];
+                    l.tangent.multiply_into(&x, &mut y);
+                    let mut b = vec![0.0; COORDINATES * arm.node_count() * arm.cable_count()];
+                    l.input_into(&arm, &mut b);
+                    [y, l.f.clone(), l.pull.clone(), b]
+                });
+                for (a, b) in products[0].iter().zip(&products[1]) {
+                    let size = a.iter().fold(1.0f64, |s, a| s.max(a.abs()));
+                    assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-13 * size), "{elements} elements");
+                }
+            }
+        }
+    }
 }

@@ -4,11 +4,11 @@
 //! tangent, input matrix, lengths, poses, curvatures. It never integrates, never decides, and after [`Arm::new`] it
 //! never allocates. `NOTATION.md` beside this file lists the letters.
 //!
-//! `arm` is fixed after set-up, `state` changes each step, `assembly` fills the scratch that solvers own. One file per
-//! term of the equation: `inertia`, `elastic`, `chord`, `cables` (with `legs`, all cables of an element at once).
+//! `arm` is fixed after set-up, `state` changes each step, `linearize` fills the scratch that solvers own. One file per
+//! term of the equation: `inertia`, `elastic`, `chord`, `cables`; their formulas are written for any number of elements side
+//! by side. `terms` evaluates them one by one for a single state, `linearize` all together with their tangent.
 
 mod arm;
-mod assembly;
 mod cables;
 mod chord;
 mod elastic;
@@ -18,9 +18,10 @@ mod legs;
 mod linearize;
 mod outputs;
 mod state;
+mod terms;
 
 pub use arm::{Arm, Element, HolePass, Node};
-pub use assembly::Motion;
 pub use linearize::{Linearization, Rates};
 pub use outputs::{CurvatureSensitivity, Outputs};
 pub use state::State;
+pub use terms::Motion;

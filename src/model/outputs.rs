@@ -1,8 +1,8 @@
 //! What the planner steers and what reports show: tip pose and twist, average curvatures, tangents, curve frames.
 
 use super::arm::Arm;
-use super::assembly::ends;
 use super::elastic;
+use super::terms::ends;
 use crate::math::quaternion::{body_rate, tangent};
 use nalgebra::{Vector3, Vector4};
 
