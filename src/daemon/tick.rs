@@ -7,8 +7,8 @@ use super::obstacles::PairReader;
 use super::records;
 use crate::config::{Config, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request, StopWatch,
-    Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Phase,
+    Request, StopWatch, Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
@@ -75,6 +75,37 @@ pub(crate) struct TickTime {
 pub(crate) struct Ticked {
     pub(crate) mode: Mode,
     pub(crate) drives: DrivesInput,
+}
+
+/// What a tick saw, but for what is lent: the obstacles are moved between two looks at it.
+#[derive(Clone, Copy)]
+struct Seen {
+    tick: u64,
+    now_ns: u64,
+    late: bool,
+    valid: CableMask,
+    capture_ns: u64,
+    demand: ObstacleDemand,
+    target: Option<TargetInput>,
+    drives: DrivesInput,
+    request: Option<Request>,
+}
+
+impl Seen {
+    fn inputs<'a>(&self, lengths_m: &'a [f64], measured_n: &'a [f64], obstacles: &'a ObstaclePair) -> TickInputs<'a> {
+        TickInputs {
+            tick: self.tick,
+            now_ns: self.now_ns,
+            late: self.late,
+            encoders: EncoderReadings { lengths_m, valid: self.valid, capture_ns: self.capture_ns },
+            tensions_measured_n: measured_n,
+            obstacles,
+            demand: self.demand,
+            target: self.target,
+            drives: self.drives,
+            request: self.request,
+        }
+    }
 }
 
 /// Everything that the control thread owns.
@@ -184,18 +215,9 @@ impl<E: Estimator> Controller<E> {
         let began_ns = monotonic_ns();
 
         let mut watch = Watch { began_ns, until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
-        let inputs = TickInputs {
-            tick: time.tick,
-            now_ns,
-            late: time.late,
-            encoders: EncoderReadings { lengths_m: &self.lengths, valid, capture_ns },
-            tensions_measured_n: &self.measured,
-            obstacles: self.obstacles.pair(),
-            demand,
-            target,
-            drives,
-            request,
-        };
+        let seen =
+            Seen { tick: time.tick, now_ns, late: time.late, valid, capture_ns, demand, target, drives, request };
+        let inputs = seen.inputs(&self.lengths, &self.measured, self.obstacles.pair());
         let output = self.cycle.tick(&inputs, &mut self.rng, &mut watch);
 
         let sending_ns = monotonic_ns();
@@ -208,7 +230,12 @@ impl<E: Estimator> Controller<E> {
         let sent_ns = monotonic_ns();
 
         let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns;
-        self.cycle.report(&inputs);
+        if self.cycle.latency_s() > 0.0 {
+            // The record's state is that of the tick, and so are the obstacles that it is measured against.
+            let (table, limits) = (self.inputs.obstacles(), &self.limits.obstacles);
+            self.obstacles.move_to(table, now_ns, [0.0, self.lookahead_s], limits);
+        }
+        self.cycle.report(&seen.inputs(&self.lengths, &self.measured, self.obstacles.pair()));
         self.cycle.record_mut().timing = Timing {
             wakeup_ns: time.wakeup_ns,
             input_ns: began_ns.saturating_sub(time.woke_ns),
@@ -226,11 +253,13 @@ impl<E: Estimator> Controller<E> {
         Ticked { mode: output.mode, drives }
     }
 
-    /// Moves the obstacles, and what their sources ask for.
+    /// Moves the obstacles to where they will be when this tick's tensions begin to act, for the planner starts from the
+    /// arm as it will be then; and what their sources ask for.
     fn place_obstacles(&mut self, now_ns: u64) -> ObstacleDemand {
         let limits = &self.limits.obstacles;
         let table = self.inputs.obstacles();
-        let unplaced = self.obstacles.place(table, now_ns, self.lookahead_s, limits);
+        let acts_s = self.cycle.latency_s();
+        let unplaced = self.obstacles.place(table, now_ns, [acts_s, acts_s + self.lookahead_s], limits);
         table.report_into(now_ns, limits, &mut self.state);
         if let Some(source) = unplaced {
             return ObstacleDemand::Hold { source };
@@ -367,3 +396,7 @@ fn target_of(sample: &TargetSample) -> Target {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "tick_tests.rs"]
+mod tests;
