@@ -290,6 +290,53 @@ fn requests_are_answered_by_the_control_thread() {
 }
 
 #[test]
+fn a_target_given_before_arming_stays_and_a_stop_or_a_fault_takes_it() {
+    for end in [SupervisorState::Disarmed, SupervisorState::Faulted] {
+        let isolated = Isolated::new();
+        let mut daemon = Daemon::start(&isolated.domain, Pace::default());
+        let mut client = Client::connect(&isolated.domain, ARM).unwrap();
+        let states = client.states().unwrap();
+        let mut tick = 0;
+        let mut pass = |daemon: &mut Daemon, supervisor: SupervisorState| {
+            let header = Header { tick, ..Header::new(0, tick, monotonic_ns()) };
+            assert!(daemon.outputs.record(&mut State { header, supervisor: supervisor.wire(), ..State::default() }));
+            // Once a record is out, whatever it made the I/O thread do is done.
+            while states.wait(WAIT).unwrap().expect("a record").header.tick < tick {}
+            tick += 1;
+            daemon.inputs.update();
+            daemon.inputs.target().sample(monotonic_ns(), &limits().target).map(|s| s.position_m[0])
+        };
+        let target = |x: f64| Target { position_m: [x, 0.2, -2.4], ..Target::default() };
+
+        // No command: a target is answered for by the control thread, here the test.
+        let give = |daemon: &mut Daemon, client: &mut Client, x: f64| {
+            std::thread::scope(|scope| {
+                let asking = scope.spawn(|| client.set_target(5, target(x), WAIT).unwrap());
+                while !asking.is_finished() {
+                    if let Some(command) = daemon.inputs.next_command() {
+                        daemon.outputs.reply(Reply::accepted(&command, SupervisorState::Disarmed));
+                    }
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                assert!(asking.join().unwrap().is_accepted());
+            });
+        };
+        assert_eq!(pass(&mut daemon, SupervisorState::Disarmed), None);
+        give(&mut daemon, &mut client, 0.1);
+        use SupervisorState::{Arming, Disarmed, Holding, Stopping, Tracking};
+        for armed in [Disarmed, Arming, Holding, Tracking, Holding, Stopping] {
+            assert_eq!(pass(&mut daemon, armed), Some(0.1), "{armed:?}");
+        }
+        assert_eq!(pass(&mut daemon, end), None, "{end:?} after an armed mode");
+        give(&mut daemon, &mut client, 0.3);
+        for next in [end, Disarmed, Arming, Holding] {
+            assert_eq!(pass(&mut daemon, next), Some(0.3), "given anew, {next:?}");
+        }
+        daemon.stop();
+    }
+}
+
+#[test]
 fn a_control_thread_that_does_not_answer_is_reported() {
     let isolated = Isolated::new();
     let daemon = Daemon::start(&isolated.domain, Pace::default());

@@ -160,7 +160,11 @@ impl<T: Tap> IoThread<T> {
         while moved < MOVED_PER_PASS
             && let Ok(state) = self.ends.records.pop()
         {
-            self.last = (state.supervisor, state.fault_code, state.fault_detail);
+            let before = std::mem::replace(&mut self.last, (state.supervisor, state.fault_code, state.fault_detail)).0;
+            // Only on the change: clients give their targets before they arm.
+            if is_armed(before) && !is_armed(state.supervisor) {
+                self.clear_target();
+            }
             self.tap.state(&state);
             self.ports.publish_state(&state)?;
             moved += 1;
@@ -265,6 +269,14 @@ impl<T: Tap> IoThread<T> {
         Ok(())
     }
 
+    /// An arm that was stopped, or stopped itself, does not go on to where it was sent before: whoever arms it anew gives
+    /// a target anew.
+    fn clear_target(&mut self) {
+        self.target.clear();
+        self.ends.target.input_buffer_mut().copy_from(&self.target);
+        self.ends.target.publish();
+    }
+
     /// A refusal by this thread, with the state of the last record.
     fn refusal(&self, command: &Command, reason: RefusalReason) -> Reply {
         let supervisor = SupervisorState::from_wire(self.last.0).unwrap_or(SupervisorState::Disarmed);
@@ -297,4 +309,9 @@ impl<T: Tap> IoThread<T> {
             tracing::debug!(?error, "answer not delivered");
         }
     }
+}
+
+/// Whether the arm is on its way to tension, under tension, or on its way out of it in order.
+fn is_armed(supervisor: u32) -> bool {
+    ![SupervisorState::Disarmed, SupervisorState::Faulted].map(SupervisorState::wire).contains(&supervisor)
 }
