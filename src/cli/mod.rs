@@ -44,7 +44,10 @@ enum Command {
     Track(requests::Ask),
     /// Ramp the tensions down, then disarm.
     Stop(requests::Ask),
-    /// Release a latched fault whose cause is gone.
+    /// Release a latched fault whose cause is gone; forget sources of obstacles that have expired.
+    ///
+    /// A source that expired holds the arm until it is back. One that is gone for good is forgotten by this request in every
+    /// mode, also where it is refused because no fault is latched; its obstacles are then no longer avoided.
     Clear(requests::Ask),
     /// Go to the home pose.
     Home(requests::Ask),

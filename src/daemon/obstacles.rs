@@ -101,6 +101,14 @@ impl PairBuilder {
         self.build();
     }
 
+    /// Takes out a source that the table has forgotten: what it outlined needs its places no more.
+    pub fn forget(&mut self, source_id: u32) {
+        if let Ok(place) = self.sources.binary_search_by_key(&source_id, |s| s.0) {
+            self.sources.remove(place);
+            self.build();
+        }
+    }
+
     fn build(&mut self) {
         let built = self.out.input_buffer_mut();
         built.pair.clear();
@@ -326,6 +334,27 @@ mod tests {
         assert_eq!(bench.place().1, None);
         bench.send(&set(9, 0, &[ball(1, 0.0)]));
         assert_eq!(bench.place().1, Some(9));
+    }
+
+    #[test]
+    fn a_forgotten_source_gives_its_places_back_and_may_return() {
+        let mut bench = Bench::new(2);
+        bench.send(&set(3, 0, &[ball(1, 3.0), ball(2, 3.0)]));
+        bench.send(&set(9, 0, &[ball(1, 9.0)]));
+        assert_eq!(bench.place().1, Some(9));
+        let later = NOW + 10_000_000_000;
+        let mut fresh = set(9, 1, &[ball(1, 9.0)]);
+        fresh.header.capture_ns = later;
+        bench.table.accept(&fresh, later, &InputLimits::default()).unwrap();
+        bench.builder.accept(&fresh);
+        let mut forgotten = Vec::new();
+        bench.table.forget_expired(later, &InputLimits::default(), |source| forgotten.push(source));
+        assert_eq!(forgotten, [3]);
+        bench.builder.forget(3);
+        bench.builder.forget(4);
+        assert_eq!(bench.place(), (vec![(key(9, 1), 9.0, false)], None));
+        bench.builder.accept(&set(3, 1, &[ball(1, 3.0)]));
+        assert_eq!(bench.place().0.len(), 2);
     }
 
     #[test]

@@ -49,6 +49,8 @@ pub trait Tap: Send {
     fn obstacles(&mut self, _obstacles: &Obstacles) {}
     /// An accepted target.
     fn target(&mut self, _target: &Target) {}
+    /// A source of obstacles was forgotten: it has none any more.
+    fn forgotten(&mut self, _source_id: u32) {}
     /// An event of the loop.
     fn event(&mut self, _event: &Event) {}
 }
@@ -68,6 +70,10 @@ impl<T: Tap> Tap for Option<T> {
 
     fn target(&mut self, target: &Target) {
         self.iter_mut().for_each(|tap| tap.target(target));
+    }
+
+    fn forgotten(&mut self, source_id: u32) {
+        self.iter_mut().for_each(|tap| tap.forgotten(source_id));
     }
 
     fn event(&mut self, event: &Event) {
@@ -214,12 +220,7 @@ impl<T: Tap> IoThread<T> {
         while let Ok(reply) = self.ends.replies.pop() {
             moved += 1;
             let Some(place) = self.open.iter().position(|(c, ..)| c.ticket == reply.ticket) else { continue };
-            let (command, _, request) = self.open.swap_remove(place);
-            if command.kind == RequestKind::Clear && reply.verdict == Verdict::Accepted {
-                self.obstacles.forget_expired(now(), &self.limits.obstacles);
-                self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
-                self.ends.obstacles.publish();
-            }
+            let (.., request) = self.open.swap_remove(place);
             self.answer(&request, reply);
         }
         while self.open.len() < OPEN_REQUESTS_MAX
@@ -252,6 +253,9 @@ impl<T: Tap> IoThread<T> {
         } else {
             None
         };
+        if kind == Some(RequestKind::Clear) && refused.is_none() {
+            self.forget_expired(now_ns);
+        }
         if let Some((reason, detail)) = refused {
             return self.answer(&request, Reply { detail, ..self.refusal(&command, reason) });
         }
@@ -267,6 +271,18 @@ impl<T: Tap> IoThread<T> {
         self.ends.target.input_buffer_mut().copy_from(&self.target);
         self.ends.target.publish();
         Ok(())
+    }
+
+    /// What the operator clears away whether or not a fault is latched: a camera that is gone for good asks for a hold, and
+    /// that is none.
+    fn forget_expired(&mut self, now_ns: u64) {
+        let Self { obstacles, tap, .. } = self;
+        obstacles.forget_expired(now_ns, &self.limits.obstacles, |source_id| {
+            tracing::warn!(source_id, "expired source of obstacles forgotten");
+            tap.forgotten(source_id);
+        });
+        self.ends.obstacles.input_buffer_mut().copy_from(obstacles);
+        self.ends.obstacles.publish();
     }
 
     /// An arm that was stopped, or stopped itself, does not go on to where it was sent before: whoever arms it anew gives
