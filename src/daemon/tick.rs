@@ -19,7 +19,7 @@ use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
 use sinew_hal::motor_bank::MotorBank;
 
-/// Thresholds of all inputs as the configuration has them. Targets age like obstacles: both are clients' promises.
+/// Thresholds of all inputs as the configuration has them.
 ///
 /// In lockstep an input for the next tick may be looked at by a thread that read the clock just before that tick's time
 /// began, so a tick ahead is not the future there.
@@ -40,7 +40,14 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
         future_tolerance_s: InputLimits::default().future_tolerance_s + ahead_s,
         ..InputLimits::default()
     };
-    IoLimits { obstacles, target: InputLimits { growth_mps: 0.0, ..obstacles }, encoders }
+    let policy = &config.target;
+    let target = InputLimits {
+        stale_after_s: policy.stale_after_s,
+        hold_after_s: policy.hold_after_s,
+        future_tolerance_s: policy.future_tolerance_s + ahead_s,
+        ..InputLimits::default()
+    };
+    IoLimits { obstacles, target, encoders }
 }
 
 /// What the loop asks for by itself.

@@ -93,3 +93,22 @@ fn the_planner_has_obstacles_where_they_are_when_its_tensions_act_and_the_record
     // Had it been measured where the planner had it, it would be another distance by far more than rounding.
     assert!(SPEED_MPS * 3.0 * period_s > 1e-3);
 }
+
+#[test]
+fn a_slow_map_of_obstacles_leaves_targets_as_they_are_and_their_own_keys_rule_them() {
+    let mut config = Config::parse(builtin_texts("drives.toml")).unwrap();
+    let before = limits(&config, false);
+    assert_eq!((before.target.stale_after_s, before.target.hold_after_s), (0.2, 1.0));
+    // A static map that comes every 20 s.
+    (config.obstacles.stale_after_s, config.obstacles.hold_after_s) = (30.0, 60.0);
+    config.obstacles.future_tolerance_s = 0.5;
+    let slow = limits(&config, false);
+    assert_eq!((slow.obstacles.stale_after_s, slow.obstacles.hold_after_s), (30.0, 60.0));
+    assert_eq!(slow.target, before.target);
+    (config.target.stale_after_s, config.target.hold_after_s) = (0.3, 2.0);
+    config.target.future_tolerance_s = 0.25;
+    let own = limits(&config, false);
+    let target = own.target;
+    assert_eq!((target.stale_after_s, target.hold_after_s, target.future_tolerance_s), (0.3, 2.0, 0.25));
+    assert_eq!(own.obstacles, slow.obstacles);
+}
