@@ -46,7 +46,8 @@ pub struct BusReport {
     pub frames: u64,
     /// Frames that this process was too slow for.
     pub lost: u64,
-    /// Frames of cycles (torques and SYNC) that the bus did not take: its drives kept the torques of the cycle before.
+    /// Frames of cycles (torques and SYNC) that the bus did not take, or not before the next cycle: its drives kept the
+    /// torques of the cycle before.
     pub unsent: u64,
 }
 
