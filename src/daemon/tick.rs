@@ -53,7 +53,7 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
 /// What the loop asks for by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AutoRequests {
-    /// Arm as soon as the drives are ready, once.
+    /// Arm as soon as the drives and their buses are ready, once.
     pub arm: bool,
     /// Track as soon as the arm holds and there are a target and known obstacles, once.
     pub track: bool,
@@ -333,7 +333,7 @@ impl<E: Estimator> Controller<E> {
             if moving {
                 return (Some(Request::Stop), None);
             }
-        } else if self.auto.arm && mode == Mode::Disarmed && drives.ready {
+        } else if self.auto.arm && mode == Mode::Disarmed && can_come_up(drives) {
             self.auto.arm = false;
             return (Some(Request::Arm), None);
         } else if self.auto.track && mode == Mode::Holding && target_fresh && demand == ObstacleDemand::Proceed {
@@ -378,6 +378,11 @@ impl<E: Estimator> Controller<E> {
             self.outputs.event(records::event(&event));
         }
     }
+}
+
+/// Whether the supervisor would not refuse to bring the drives up: what is asked for once must not be spent on a refusal.
+fn can_come_up(drives: &DrivesInput) -> bool {
+    drives.ready && drives.fault.is_none() && drives.bus_lost.is_none()
 }
 
 /// The loop's period (ns).

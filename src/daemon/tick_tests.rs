@@ -1,11 +1,11 @@
-use super::super::link::drives_link;
+use super::super::link::{DrivesEnd, drives_link};
 use super::super::obstacles::pairs;
 use super::super::setup::{master_config, motor_bank};
 use super::*;
 use crate::config::builtin_texts;
 use crate::control::Settings;
 use crate::estimator::Observer;
-use crate::ipc::payload::{Obstacle, Obstacles};
+use crate::ipc::payload::{Obstacle, Obstacles, SupervisorState};
 use crate::ipc::{ChannelCapacity, IoEnds, channels};
 use rand::SeedableRng;
 use sinew_hal::cia402::Master;
@@ -19,6 +19,7 @@ struct Bench {
     controller: Controller<Observer>,
     writer: CycleWriter,
     ends: IoEnds,
+    drives: DrivesEnd,
 }
 
 impl Bench {
@@ -34,6 +35,7 @@ impl Bench {
         ends.obstacles.input_buffer_mut().accept(&set, NOW, &InputLimits::default()).unwrap();
         ends.obstacles.publish();
         builder.accept(&set);
+        let (link, drives) = drives_link();
         let mut master = Master::new(master_config(&config).unwrap(), vec![Box::new(MemoryBus::default())]).unwrap();
         let parts = Parts {
             cycle: Cycle::new(
@@ -43,13 +45,13 @@ impl Bench {
             inputs,
             outputs,
             obstacles,
-            drives: drives_link().0,
+            drives: link,
             bank: motor_bank(&config).unwrap(),
             time: LoopTime::new(true),
             rng: Xoshiro256PlusPlus::seed_from_u64(0),
             auto: AutoRequests::default(),
         };
-        Self { controller: Controller::new(&config, parts), writer: master.take_writer().unwrap(), ends }
+        Self { controller: Controller::new(&config, parts), writer: master.take_writer().unwrap(), ends, drives }
     }
 
     fn tick(&mut self) -> State {
@@ -111,4 +113,24 @@ fn a_slow_map_of_obstacles_leaves_targets_as_they_are_and_their_own_keys_rule_th
     let target = own.target;
     assert_eq!((target.stale_after_s, target.hold_after_s, target.future_tolerance_s), (0.3, 2.0, 0.25));
     assert_eq!(own.obstacles, slow.obstacles);
+}
+
+#[test]
+fn arming_on_start_waits_for_the_bus_and_is_not_spent_on_a_refusal() {
+    let mut bench = Bench::new(0);
+    bench.controller.auto.arm = true;
+    let ready = DrivesInput { ready: true, ..DrivesInput::default() };
+    let not_yet = [
+        DrivesInput { ready: false, ..ready },
+        DrivesInput { bus_lost: Some(0), ..ready },
+        DrivesInput { fault: Some((3, 0x1234)), ..ready },
+    ];
+    for drives in not_yet {
+        bench.drives.write(drives);
+        assert_eq!(bench.tick().supervisor, SupervisorState::Disarmed.wire(), "{drives:?}");
+        assert!(bench.controller.auto.arm, "{drives:?}");
+    }
+    bench.drives.write(ready);
+    assert_eq!(bench.tick().supervisor, SupervisorState::Arming.wire());
+    assert!(!bench.controller.auto.arm);
 }
