@@ -4,6 +4,7 @@ mod check;
 mod client;
 mod demo;
 mod leash;
+pub(crate) mod log;
 mod obstacles;
 mod plan;
 mod record;
@@ -74,6 +75,8 @@ pub(crate) enum Outcome {
     Failed,
     /// Unusable arguments or configuration.
     Unusable,
+    /// A defect of this program ended it.
+    Defect,
 }
 
 impl From<Outcome> for ExitCode {
@@ -82,6 +85,8 @@ impl From<Outcome> for ExitCode {
             Outcome::Done => Self::from(0),
             Outcome::Failed => Self::from(1),
             Outcome::Unusable => Self::from(2),
+            // EX_SOFTWARE of sysexits.
+            Outcome::Defect => Self::from(70),
         }
     }
 }
