@@ -1,5 +1,5 @@
 //! `sinew`: the command line. Exit codes: 0 done, 1 the run ended in a fault or contact, 2 unusable arguments or
-//! configuration.
+//! configuration, 70 a defect of this program (a thread panicked; 101 where it was the main thread).
 #![allow(clippy::print_stdout)] // the one place whose output is for people and pipes
 
 use clap::Parser;
@@ -14,7 +14,7 @@ fn main() -> ExitCode {
             tracing_subscriber::EnvFilter::try_from_env("SINEW_LOG")
                 .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
         )
-        .with_writer(std::io::stderr)
+        .with_writer(cli::log::writer)
         .init();
     match cli::run(arguments) {
         Ok(outcome) => outcome.into(),

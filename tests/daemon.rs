@@ -123,6 +123,48 @@ fn bad_obstacles_are_rejected_counted_and_named_in_the_status() {
     assert!(said.contains("1 x more entries than the capacity"), "{said}");
 }
 
+#[test]
+fn a_daemon_whose_log_nobody_reads_goes_on_and_ends_in_order() {
+    use std::io::Write;
+    let place = Place::shipped();
+    let plant = Plant::start(&place, false, &[]);
+    let (log, mut full) = std::io::pipe().unwrap();
+    let stderr = full.try_clone().unwrap();
+    // Whoever writes behind this waits: it ends when the pipe does.
+    let filling = std::thread::spawn(move || while full.write_all(&[b'\n'; 4096]).is_ok() {});
+    let mut command = place.sinew(&["run"]);
+    let child = command.env("SINEW_LOG", "info").stderr(stderr).spawn().unwrap();
+    drop(command);
+    let mut daemon = Daemon { child };
+    let deadline = Instant::now() + WAIT;
+    while place.status().is_none() {
+        assert!(daemon.child.try_wait().unwrap().is_none() && Instant::now() < deadline, "it does not start");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    // Modes and requests are lines of the log, of the I/O thread; drives coming up are the bus thread's.
+    place.arm();
+    for _ in 0..10 {
+        assert!(place.request(RequestKind::Hold).is_accepted());
+    }
+    let ticks = place.status().unwrap().ticks;
+    place.until("more ticks", |s| s.ticks > ticks && s.mode == "holding");
+    let pid = rustix::process::Pid::from_child(&daemon.child);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    // It cannot say its last words and does not wait for ever to do so.
+    let deadline = Instant::now() + WAIT;
+    let status = loop {
+        if let Some(status) = daemon.child.try_wait().unwrap() {
+            break status;
+        }
+        assert!(Instant::now() < deadline, "it does not end");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!(status.code(), Some(0));
+    drop(log);
+    filling.join().unwrap();
+    drop(plant);
+}
+
 /// What is left of a run; clients go first, the place last.
 struct Ran {
     _ticker: Ticker,

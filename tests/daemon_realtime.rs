@@ -212,6 +212,6 @@ fn the_service_unit_gives_what_the_daemon_asks_for() {
     assert!(seconds("WatchdogSec") > config.drives.sync_timeout_s);
     // Ramp, drives one by one, and the limit at which the daemon gives the ordered stop up by itself.
     assert!(seconds("TimeoutStopSec") > config.timing.ramp_s + 10.0);
-    // Exit codes 1 and 2 are for people.
-    assert_eq!(value("Restart"), "on-abnormal");
+    // Exit codes 1 and 2 are for people; 70 and 101, defects, are not among them.
+    assert_eq!((value("Restart"), value("RestartPreventExitStatus")), ("on-failure", "1 2"));
 }

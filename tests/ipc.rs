@@ -9,12 +9,12 @@ use sinew::ipc::payload::{
 };
 use sinew::ipc::{
     ChannelCapacity, Client, Command as OperatorCommand, ControlInputs, ControlOutputs, DaemonPorts, Domain, IoLimits,
-    IoThread, IpcError, LockstepSources, Pace, Reply, channels, monotonic_ns,
+    IoThread, IpcError, LockstepSources, Pace, Reply, Tap, channels, monotonic_ns,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Once};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, Once};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -76,13 +76,39 @@ fn limits() -> IoLimits {
 
 impl Daemon {
     fn start(domain: &Domain, pace: Pace) -> Self {
+        Self::start_with(domain, pace, (), monotonic_ns)
+    }
+
+    fn start_with(
+        domain: &Domain,
+        pace: Pace,
+        tap: impl Tap + 'static,
+        now: impl Fn() -> u64 + Send + 'static,
+    ) -> Self {
         let ports = DaemonPorts::create(domain, ARM).unwrap();
         let (inputs, outputs, ends) = channels(24, 4, &[], ChannelCapacity::default());
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
-        let thread =
-            std::thread::spawn(move || IoThread::new(ports, ends, limits(), ()).run(pace, &flag, monotonic_ns));
+        let thread = std::thread::spawn(move || IoThread::new(ports, ends, limits(), tap).run(pace, &flag, now));
         Self { inputs, outputs, stop, thread: Some(thread) }
+    }
+
+    /// Answers every command as `reply` says, until a request made meanwhile has its response.
+    fn while_answering<T: Send>(
+        &mut self,
+        reply: impl Fn(&OperatorCommand) -> Reply,
+        request: impl FnOnce() -> T + Send,
+    ) -> T {
+        std::thread::scope(|scope| {
+            let asking = scope.spawn(request);
+            while !asking.is_finished() {
+                if let Some(command) = self.inputs.next_command() {
+                    assert!(self.outputs.reply(reply(&command)));
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            asking.join().unwrap()
+        })
     }
 
     /// Waits until the control thread's view meets a condition.
@@ -287,6 +313,90 @@ fn requests_are_answered_by_the_control_thread() {
     assert_eq!((bad.reason, bad.detail), (RefusalReason::BadTarget.wire(), RejectCause::NotFinite.wire()));
     assert_eq!(bad.text(), "the target was refused: NaN or infinite number");
     daemon.stop();
+}
+
+/// Notes what was forgotten.
+struct Forgotten(Arc<Mutex<Vec<u32>>>);
+
+impl Tap for Forgotten {
+    fn forgotten(&mut self, source_id: u32) {
+        self.0.lock().unwrap().push(source_id);
+    }
+}
+
+#[test]
+fn a_clear_that_is_refused_forgets_the_expired_sources_all_the_same() {
+    let isolated = Isolated::new();
+    // A clock that stands still, so that nothing expires before its time.
+    let (forgotten, time_ns) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicU64::new(1_000_000_000)));
+    let clock = time_ns.clone();
+    let now = move || clock.load(Ordering::Acquire);
+    let mut daemon = Daemon::start_with(&isolated.domain, Pace::default(), Forgotten(forgotten.clone()), now.clone());
+    let mut client = Client::connect(&isolated.domain, ARM).unwrap();
+    let (mut dead, mut alive) = (client.obstacles(7).unwrap(), client.obstacles(9).unwrap());
+    dead.publish(&mut ball_set(1), now()).unwrap();
+    daemon.until("the first source", |i| Daemon::sources(i) == [7]);
+    // An hour later the one is long gone, and another one speaks.
+    time_ns.store(3_600_000_000_000, Ordering::Release);
+    alive.publish(&mut ball_set(1), now()).unwrap();
+    daemon.until("both", |i| Daemon::sources(i) == [7, 9]);
+    let demand = |daemon: &mut Daemon| {
+        daemon.inputs.update();
+        daemon.inputs.obstacles().demand(now(), &limits().obstacles)
+    };
+    assert_eq!(demand(&mut daemon), ObstacleDemand::Hold { source_id: 7 });
+
+    let refuse =
+        |command: &OperatorCommand| Reply::refused(command, SupervisorState::Holding, RefusalReason::WrongState);
+    let mut ask = |daemon: &mut Daemon, kind| daemon.while_answering(refuse, || client.ask(kind, WAIT).unwrap());
+    assert!(!ask(&mut daemon, RequestKind::Track).is_accepted());
+    assert_eq!(demand(&mut daemon), ObstacleDemand::Hold { source_id: 7 }, "only clear forgets");
+    assert!(!ask(&mut daemon, RequestKind::Clear).is_accepted());
+    assert_eq!(*forgotten.lock().unwrap(), [7]);
+    assert_eq!(demand(&mut daemon), ObstacleDemand::Proceed);
+    assert_eq!(Daemon::sources(&daemon.inputs), [9]);
+    dead.publish(&mut ball_set(1), now()).unwrap();
+    daemon.until("its return", |i| Daemon::sources(i) == [7, 9]);
+    daemon.stop();
+}
+
+#[test]
+fn a_target_given_before_arming_stays_and_a_stop_or_a_fault_takes_it() {
+    for end in [SupervisorState::Disarmed, SupervisorState::Faulted] {
+        let isolated = Isolated::new();
+        let mut daemon = Daemon::start(&isolated.domain, Pace::default());
+        let mut client = Client::connect(&isolated.domain, ARM).unwrap();
+        let states = client.states().unwrap();
+        let mut tick = 0;
+        let mut pass = |daemon: &mut Daemon, supervisor: SupervisorState| {
+            let header = Header { tick, ..Header::new(0, tick, monotonic_ns()) };
+            assert!(daemon.outputs.record(&mut State { header, supervisor: supervisor.wire(), ..State::default() }));
+            // Once a record is out, whatever it made the I/O thread do is done.
+            while states.wait(WAIT).unwrap().expect("a record").header.tick < tick {}
+            tick += 1;
+            daemon.inputs.update();
+            daemon.inputs.target().sample(monotonic_ns(), &limits().target).map(|s| s.position_m[0])
+        };
+        let target = |x: f64| Target { position_m: [x, 0.2, -2.4], ..Target::default() };
+
+        let give = |daemon: &mut Daemon, client: &mut Client, x: f64| {
+            let accept = |command: &OperatorCommand| Reply::accepted(command, SupervisorState::Disarmed);
+            let response = daemon.while_answering(accept, || client.set_target(5, target(x), WAIT).unwrap());
+            assert!(response.is_accepted());
+        };
+        assert_eq!(pass(&mut daemon, SupervisorState::Disarmed), None);
+        give(&mut daemon, &mut client, 0.1);
+        use SupervisorState::{Arming, Disarmed, Holding, Stopping, Tracking};
+        for armed in [Disarmed, Arming, Holding, Tracking, Holding, Stopping] {
+            assert_eq!(pass(&mut daemon, armed), Some(0.1), "{armed:?}");
+        }
+        assert_eq!(pass(&mut daemon, end), None, "{end:?} after an armed mode");
+        give(&mut daemon, &mut client, 0.3);
+        for next in [end, Disarmed, Arming, Holding] {
+            assert_eq!(pass(&mut daemon, next), Some(0.3), "given anew, {next:?}");
+        }
+        daemon.stop();
+    }
 }
 
 #[test]

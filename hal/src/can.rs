@@ -283,6 +283,12 @@ pub trait CanBus: Send {
     /// [`ReceiveError`].
     fn receive(&mut self, timeout: std::time::Duration) -> Result<Option<Received>, ReceiveError>;
 
+    /// Drops the frames that this handle has taken and that still wait in it for the bus; how many there were. What an
+    /// operating system or a controller has taken over is out of reach. Does not block.
+    fn discard_waiting(&mut self) -> usize {
+        0
+    }
+
     /// State of the bus as last seen.
     fn state(&self) -> BusState;
 
@@ -309,6 +315,10 @@ impl<B: CanBus + ?Sized> CanBus for Box<B> {
 
     fn receive(&mut self, timeout: std::time::Duration) -> Result<Option<Received>, ReceiveError> {
         (**self).receive(timeout)
+    }
+
+    fn discard_waiting(&mut self) -> usize {
+        (**self).discard_waiting()
     }
 
     fn state(&self) -> BusState {

@@ -457,6 +457,11 @@ impl<B: CanBus> CanBus for FaultShim<B> {
         }
     }
 
+    /// Those of the bus behind: what the shim holds is on the wire already, and late there.
+    fn discard_waiting(&mut self) -> usize {
+        self.bus.discard_waiting()
+    }
+
     fn state(&self) -> BusState {
         self.bus.state()
     }

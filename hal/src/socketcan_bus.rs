@@ -5,7 +5,8 @@
 //! then carries the time at which it was read.
 //! - Sending never blocks. While the kernel's transmit queue is full (ENOBUFS, EAGAIN) frames wait in a bounded queue of
 //!   this handle, in order, and go out at its next call of any method that sends or receives; when that queue is full
-//!   as well, the frame is refused. Losing the bus empties the queue: an old command must not come out of it later.
+//!   as well, the frame is refused. Losing the bus empties the queue, and so does [`CanBus::discard_waiting`]: an old command
+//!   must not come out of it later.
 //! - Error frames become [`BusState`] and counters, and never reach the caller as frames. The controller's state is
 //!   shared by a handle and its duplicates, so that one that only sends learns what one that receives was told.
 //! - A socket whose interface went down or vanished is replaced by a new one as [`Restart`] says.
@@ -140,10 +141,13 @@ impl SocketCanBus {
         self.plan_first_attempt();
     }
 
-    fn discard_queue(&mut self) {
-        self.counters.refused = self.counters.refused.saturating_add(self.queue.used as u64);
-        self.counters.sent = self.counters.sent.saturating_sub(self.queue.used as u64);
+    /// How many frames were in it; from now on they count as refused.
+    fn discard_queue(&mut self) -> usize {
+        let waiting = self.queue.used;
+        self.counters.refused = self.counters.refused.saturating_add(waiting as u64);
+        self.counters.sent = self.counters.sent.saturating_sub(waiting as u64);
         self.queue.clear();
+        waiting
     }
 
     fn plan_first_attempt(&mut self) {
@@ -364,6 +368,10 @@ impl CanBus for SocketCanBus {
             others = 0;
             self.wait(now_ns, deadline_ns)?;
         }
+    }
+
+    fn discard_waiting(&mut self) -> usize {
+        self.discard_queue()
     }
 
     fn state(&self) -> BusState {

@@ -4,6 +4,7 @@ mod check;
 mod client;
 mod demo;
 mod leash;
+pub(crate) mod log;
 mod obstacles;
 mod plan;
 mod record;
@@ -44,7 +45,10 @@ enum Command {
     Track(requests::Ask),
     /// Ramp the tensions down, then disarm.
     Stop(requests::Ask),
-    /// Release a latched fault whose cause is gone.
+    /// Release a latched fault whose cause is gone; forget sources of obstacles that have expired.
+    ///
+    /// A source that expired holds the arm until it is back. One that is gone for good is forgotten by this request in every
+    /// mode, also where it is refused because no fault is latched; its obstacles are then no longer avoided.
     Clear(requests::Ask),
     /// Go to the home pose.
     Home(requests::Ask),
@@ -71,6 +75,8 @@ pub(crate) enum Outcome {
     Failed,
     /// Unusable arguments or configuration.
     Unusable,
+    /// A defect of this program ended it.
+    Defect,
 }
 
 impl From<Outcome> for ExitCode {
@@ -79,6 +85,8 @@ impl From<Outcome> for ExitCode {
             Outcome::Done => Self::from(0),
             Outcome::Failed => Self::from(1),
             Outcome::Unusable => Self::from(2),
+            // EX_SOFTWARE of sysexits.
+            Outcome::Defect => Self::from(70),
         }
     }
 }

@@ -1,10 +1,11 @@
 //! `sinew run`: the daemon.
 
-use super::Outcome;
+use super::{Outcome, log};
 use clap::Args;
 use miette::IntoDiagnostic;
 use sinew::config::Config;
-use sinew::daemon::{AutoRequests, Daemon, Ending, Heart, LockstepOptions, Options};
+use sinew::daemon::{AutoRequests, Daemon, DaemonError, Ending, Heart, LockstepOptions, Options};
+use sinew_hal::realtime::leave_processor;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -71,25 +72,56 @@ impl Run {
             around_tick: None,
             start_tensions_n: self.start_tensions,
         };
+        if let (Some(cpu), None) = (config.timing.cpu, &options.lockstep) {
+            // As the daemon does for its threads: the log's starts before them.
+            leave_processor(cpu);
+        }
+        let mut log = log::Queue::start();
         let daemon = match Daemon::start(&config, &options) {
             Ok(daemon) => daemon,
             Err(error) => {
-                eprintln!("sinew run: {error}");
-                return Ok(Outcome::Unusable);
+                log::say(&format!("sinew run: {error}"));
+                return Ok(if is_defect(&error) { Outcome::Defect } else { Outcome::Unusable });
             }
         };
-        eprintln!("sinew: arm \"{}\", {} ms period; stop with Ctrl-C", config.ipc.arm, 1e3 * config.timing.period_s);
+        let (arm, period_ms) = (&config.ipc.arm, 1e3 * config.timing.period_s);
+        log::say(&format!("sinew: arm \"{arm}\", {period_ms} ms period; stop with Ctrl-C"));
         let mut heart = Heart::new();
-        match daemon.wait(&stop, |ticks| heart.beat(ticks, stop.load(Ordering::Relaxed))) {
+        let beat = |ticks| {
+            heart.beat(ticks, stop.load(Ordering::Relaxed));
+            log.tell();
+        };
+        match daemon.wait(&stop, beat) {
             Ok(Ending::Stopped) => Ok(Outcome::Done),
             Ok(Ending::Faulted) => {
-                eprintln!("sinew: stopped with a fault latched");
+                log::say("sinew: stopped with a fault latched");
                 Ok(Outcome::Failed)
             }
             Err(error) => {
-                eprintln!("sinew run: {error}");
-                Ok(Outcome::Failed)
+                log::say(&format!("sinew run: {error}"));
+                Ok(if is_defect(&error) { Outcome::Defect } else { Outcome::Failed })
             }
         }
+    }
+}
+
+/// A defect is worth a new start by the service manager, what a person must look at is not.
+fn is_defect(error: &DaemonError) -> bool {
+    matches!(error, DaemonError::Panic { .. })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::ExitCode;
+
+    #[test]
+    fn a_panic_has_an_exit_code_that_the_unit_starts_over() {
+        assert!(is_defect(&DaemonError::Panic { name: "sinew-bus" }));
+        assert!(!is_defect(&DaemonError::NoDrives { waited_s: 30.0, ready: 0, drives: 24 }));
+        assert_eq!(format!("{:?}", ExitCode::from(Outcome::Defect)), format!("{:?}", ExitCode::from(70)));
+        // The unit names the codes that are for people; 70 is none of them.
+        let unit = include_str!("../../config/sinew.service");
+        assert!(unit.contains("\nRestart=on-failure\n") && unit.contains("\nRestartPreventExitStatus=1 2\n"));
     }
 }

@@ -193,7 +193,8 @@ static BUS: TableSpec = TableSpec {
             "interface",
             Kind::Text(15),
             "",
-            "Interface, e.g. `can0`, or the virtual bus's name; different for every bus.",
+            "Interface, e.g. `can0`, or the virtual bus's name; different for every bus. An interface's transmit queue \
+             (`txqueuelen`) must hold a cycle: a frame of torques for every drive, or one in the packed layout, and SYNC.",
         ),
         Key::default(
             "bitrate_bps",

@@ -26,6 +26,7 @@ pub mod reader;
 mod scenario;
 mod scenario_file;
 pub mod schema;
+mod target;
 mod timing;
 mod weights;
 
@@ -44,6 +45,7 @@ pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
 pub use scenario::*;
 pub use scenario_file::{SCENARIO, arm_of};
+pub use target::{TARGET, TargetPolicyConfig};
 pub use timing::{LOOP, LoopConfig};
 pub use weights::{ShapeWeights, TipWeights, WEIGHTS, WeightsConfig};
 
@@ -58,11 +60,11 @@ static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "
 
 /// All top-level tables of the daemon's files.
 pub static TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC];
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC];
 
 /// What the daemon's files may hold.
 static KNOWN_TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &DRIVES, &IPC, &PLANT];
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &PLANT];
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -83,6 +85,8 @@ pub struct Config {
     pub guard: GuardConfig,
     /// `[obstacles]`.
     pub obstacles: ObstaclePolicyConfig,
+    /// `[target]`.
+    pub target: TargetPolicyConfig,
     /// `[drives]`.
     pub drives: DrivesConfig,
     /// `[ipc]`.
@@ -125,6 +129,7 @@ impl Config {
             guard_table.refuse("encoder_silent_s", "shorter than two periods of the loop", &help);
         }
         let obstacles = obstacles::read(&document.table_or_defaults(&OBSTACLES));
+        let target = target::read(&document.table_or_defaults(&TARGET));
         let drives = drives::read(&document.table(&DRIVES), &arm, Some(timing.period_s));
         let ipc = ipc::read(&document.table_or_defaults(&IPC), &arm.name);
         if let Some(budget) = planner.budget_s
@@ -133,6 +138,6 @@ impl Config {
             let most = timing.period_s - timing.reserve_s;
             planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
         }
-        Self { arm, timing, planner, weights, observer, friction, guard, obstacles, drives, ipc }
+        Self { arm, timing, planner, weights, observer, friction, guard, obstacles, target, drives, ipc }
     }
 }

@@ -159,6 +159,8 @@ pub struct Daemon {
     bus: Option<JoinHandle<()>>,
     io: Option<JoinHandle<()>>,
     failed_start: mpsc::Receiver<DaemonError>,
+    /// The first thread that was found to have panicked.
+    panicked: Option<&'static str>,
 }
 
 impl Daemon {
@@ -193,7 +195,7 @@ impl Daemon {
         let mut daemon = {
             let (_, none) = mpsc::channel();
             let (progress, shared) = (progress.clone(), shared.clone());
-            Self { progress, shared, server, control: None, bus: None, io: None, failed_start: none }
+            Self { progress, shared, server, control: None, bus: None, io: None, failed_start: none, panicked: None }
         };
 
         let (masters, listeners) = bus_handles(config)?;
@@ -276,9 +278,9 @@ impl Daemon {
         self.shared.report()
     }
 
-    /// Answers who asks for the status; to be called every now and then.
-    pub fn serve(&self) {
-        self.server.serve(&self.shared);
+    /// Answers one of those who ask for the status; to be called every now and then. Whether there was one.
+    pub fn serve(&self) -> bool {
+        self.server.serve(&self.shared)
     }
 
     /// Whether the control thread has ended.
@@ -286,8 +288,12 @@ impl Daemon {
         self.control.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Serves the status socket and tells `beat` how many ticks there were, about ten times a second, until the loop
-    /// has ended: after [`Daemon::stop`], or when `stop` is set.
+    /// Serves the status socket and tells `beat` how many ticks there were, at least ten times a second, until the loop
+    /// has ended: after [`Daemon::stop`], or when `stop` is set, or a thread panicked.
+    ///
+    /// The loop does not outlive a thread beside it: without the bus thread nobody sends the heartbeat or sees the drives,
+    /// without the I/O thread no encoder is heard. The drives and the guard notice that by themselves and go safe; what is
+    /// left here stops in order, as far as it can, and the error is for a new start.
     ///
     /// # Errors
     /// The drives did not come up in lockstep, or a thread panicked.
@@ -296,8 +302,12 @@ impl Daemon {
             if stop.load(Ordering::Relaxed) {
                 self.stop();
             }
-            self.serve();
+            self.notice_panics();
+            let asked = self.serve();
             beat(self.ticks());
+            if asked {
+                continue;
+            }
             std::thread::sleep(Duration::from_millis(if self.progress.stop.load(Ordering::Acquire) { 10 } else { 50 }));
         }
         let joined = self.join();
@@ -311,11 +321,23 @@ impl Daemon {
         }
     }
 
+    /// Looks at the threads beside the control thread, whose end [`Self::wait`] sees anyway.
+    fn notice_panics(&mut self) {
+        for (name, thread) in [("sinew-bus", &mut self.bus), ("sinew-io", &mut self.io)] {
+            if let Some(ended) = thread.take_if(|thread| thread.is_finished())
+                && ended.join().is_err()
+            {
+                tracing::error!(thread = name, "panicked: the loop stops");
+                self.panicked.get_or_insert(name);
+                self.progress.stop.store(true, Ordering::Release);
+            }
+        }
+    }
+
     /// Ends the threads in order: control first, so that nothing is sent into a void; the bus, whose master sees the
     /// drives off; the I/O thread last, with what the others still had to say.
     fn join(&mut self) -> Result<(), DaemonError> {
         self.progress.stop.store(true, Ordering::Release);
-        let mut panicked = None;
         let threads = [
             ("sinew-control", self.control.take(), None),
             ("sinew-bus", self.bus.take(), Some(&self.progress.bus_stop)),
@@ -326,10 +348,10 @@ impl Daemon {
                 flag.store(true, Ordering::Release);
             }
             if thread.is_some_and(|thread| thread.join().is_err()) {
-                panicked = panicked.or(Some(name));
+                self.panicked.get_or_insert(name);
             }
         }
-        panicked.map_or(Ok(()), |name| Err(DaemonError::Panic { name }))
+        self.panicked.take().map_or(Ok(()), |name| Err(DaemonError::Panic { name }))
     }
 }
 
@@ -393,6 +415,7 @@ type Handles = Vec<Box<dyn CanBus>>;
 /// Two handles of every bus: the master's, which only sends, and the bus thread's.
 fn bus_handles(config: &Config) -> Result<(Handles, Handles), DaemonError> {
     let listeners = setup::open_buses(config)?;
+    setup::short_queues(config, setup::queue_length).iter().for_each(|short| tracing::warn!("{short}"));
     let mut masters = Vec::with_capacity(listeners.len());
     for (bus, settings) in listeners.iter().zip(&config.drives.buses) {
         let duplicate = |source| DaemonError::Duplicate { name: settings.name.clone(), source };
@@ -450,4 +473,65 @@ fn spawn(
         body();
     };
     std::thread::Builder::new().name(name.into()).spawn(enter).map_err(|source| DaemonError::Thread { name, source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A daemon of threads that do nothing but what the test wants of them.
+    fn daemon(name: &str, bus: fn(&Progress), io: fn(&Progress)) -> Daemon {
+        let progress = Arc::new(Progress::default());
+        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), period_s: 0.01, ..Fixed::default() }));
+        let server = StatusServer::bind(&format!("supervised-{}-{name}", std::process::id()), "arm").unwrap();
+        let thread = |name, body: Box<dyn FnOnce(&Progress) + Send>| {
+            let progress = progress.clone();
+            Some(spawn(name, 0, move || body(&progress)).unwrap())
+        };
+        // Ticks until it is stopped, as the control thread does.
+        let control = thread(
+            "sinew-control",
+            Box::new(|progress: &Progress| {
+                while !progress.stop.load(Ordering::Acquire) {
+                    progress.ticks.fetch_add(1, Ordering::AcqRel);
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                progress.end(false);
+            }),
+        );
+        let (bus, io) = (thread("sinew-bus", Box::new(bus)), thread("sinew-io", Box::new(io)));
+        let (_, failed_start) = mpsc::channel();
+        Daemon { progress: progress.clone(), shared, server, control, bus, io, failed_start, panicked: None }
+    }
+
+    fn until(flag: &AtomicBool) {
+        while !flag.load(Ordering::Acquire) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    const BUS: fn(&Progress) = |progress| until(&progress.bus_stop);
+    const IO: fn(&Progress) = |progress| until(&progress.io_stop);
+
+    #[test]
+    fn a_thread_that_panics_ends_the_loop_and_is_named() {
+        let panics: fn(&Progress) = |_| panic!("on purpose");
+        for (name, bus, io) in [("sinew-bus", panics, IO), ("sinew-io", BUS, panics)] {
+            // Nobody asks for the stop.
+            let ended = daemon(name, bus, io).wait(&AtomicBool::new(false), |_| {});
+            assert!(matches!(ended, Err(DaemonError::Panic { name: found }) if found == name), "{name}: {ended:?}");
+        }
+    }
+
+    #[test]
+    fn threads_that_live_or_end_in_order_do_not_end_the_loop() {
+        let (stop, mut ticks) = (AtomicBool::new(false), 0);
+        let daemon = daemon("lives", BUS, |_| {});
+        let ended = daemon.wait(&stop, |done| {
+            ticks = done;
+            stop.store(done > 100, Ordering::Relaxed);
+        });
+        assert!(matches!(ended, Ok(Ending::Stopped)), "{ended:?}");
+        assert!(ticks > 100);
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! A hull costs allocations, so a pair of obstacle sets is built where a message was accepted and only when shapes, ids
 //! or their number changed. It travels through a triple buffer, whose slots come back to the builder. On the control
-//! thread each obstacle of the pair is moved to where the newest table says it is at the tick and at the end of the
-//! lookahead. The pair is published before the table that belongs to it, so it is never older; an obstacle that the
+//! thread each obstacle of the pair is moved to where the newest table says it is when the tick's tensions begin to act
+//! and at the end of the lookahead. The pair is published before the table that belongs to it, so it is never older; an obstacle that the
 //! table does not know is parked far away, and one for which there is no place asks for a hold.
 
 use crate::collision::{OBSTACLES_MAX, Shape};
@@ -101,6 +101,14 @@ impl PairBuilder {
         self.build();
     }
 
+    /// Takes out a source that the table has forgotten: what it outlined needs its places no more.
+    pub fn forget(&mut self, source_id: u32) {
+        if let Ok(place) = self.sources.binary_search_by_key(&source_id, |s| s.0) {
+            self.sources.remove(place);
+            self.build();
+        }
+    }
+
     fn build(&mut self) {
         let built = self.out.input_buffer_mut();
         built.pair.clear();
@@ -142,13 +150,30 @@ impl Outline {
 }
 
 impl PairReader {
-    /// Takes over the newest pair and moves its obstacles to where `table` has them at `now_ns` and `lookahead_s`
-    /// later. Call it after the table was taken over. Returns the first source with an obstacle that has no place.
-    /// Does not allocate.
-    pub fn place(&mut self, table: &ObstacleTable, now_ns: u64, lookahead_s: f64, limits: &InputLimits) -> Option<u32> {
+    /// Takes over the newest pair and moves its obstacles to where `table` has them `after_s` (s) after `now_ns`: the two
+    /// times of the pair. Call it after the table was taken over. Returns the first source with an obstacle that has no
+    /// place. Does not allocate.
+    pub fn place(
+        &mut self,
+        table: &ObstacleTable,
+        now_ns: u64,
+        after_s: [f64; 2],
+        limits: &InputLimits,
+    ) -> Option<u32> {
         self.built.update();
-        table.track_into(now_ns, 0.0, limits, &mut self.now);
-        table.track_into(now_ns, lookahead_s, limits, &mut self.ahead);
+        self.move_to(table, now_ns, after_s, limits)
+    }
+
+    /// Moves the obstacles of the last [`Self::place`], with the same table, to two other times. Does not allocate.
+    pub fn move_to(
+        &mut self,
+        table: &ObstacleTable,
+        now_ns: u64,
+        [now_s, ahead_s]: [f64; 2],
+        limits: &InputLimits,
+    ) -> Option<u32> {
+        table.track_into(now_ns, now_s, limits, &mut self.now);
+        table.track_into(now_ns, ahead_s, limits, &mut self.ahead);
         let (now, ahead) = (self.now.as_slice(), self.ahead.as_slice());
         let built = self.built.output_buffer_mut();
         let mut unplaced = built.overfull;
@@ -229,7 +254,7 @@ mod tests {
         }
 
         fn place(&mut self) -> (Vec<(u64, f64, bool)>, Option<u32>) {
-            let unplaced = self.reader.place(&self.table, NOW, 0.1, &InputLimits::default());
+            let unplaced = self.reader.place(&self.table, NOW, [0.0, 0.1], &InputLimits::default());
             let now = self.reader.pair().now().as_slice();
             (
                 now.iter().enumerate().map(|(i, o)| (o.id(), o.position().x, self.reader.is_parked(i))).collect(),
@@ -256,6 +281,20 @@ mod tests {
         let pair = bench.reader.pair();
         assert!((pair.ahead().as_slice()[0].position().x - 1.2).abs() < 1e-12);
         assert!((pair.now().as_slice()[0].position().x - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn both_times_of_the_pair_are_later_by_the_latency_and_the_tick_can_be_asked_for_afterwards() {
+        let mut bench = Bench::new(64);
+        bench.send(&set(3, 0, &[Obstacle { velocity_mps: [2.0, 0.0, 0.0], ..ball(1, 1.0) }]));
+        let at = |reader: &PairReader| {
+            let pair = reader.pair();
+            [pair.now(), pair.ahead()].map(|set| (1e6 * set.as_slice()[0].position().x).round() as i64)
+        };
+        assert_eq!(bench.reader.place(&bench.table, NOW, [0.03, 0.13], &InputLimits::default()), None);
+        assert_eq!(at(&bench.reader), [1_060_000, 1_260_000]);
+        assert_eq!(bench.reader.move_to(&bench.table, NOW, [0.0, 0.1], &InputLimits::default()), None);
+        assert_eq!(at(&bench.reader), [1_000_000, 1_200_000]);
     }
 
     #[test]
@@ -298,12 +337,35 @@ mod tests {
     }
 
     #[test]
+    fn a_forgotten_source_gives_its_places_back_and_may_return() {
+        let mut bench = Bench::new(2);
+        bench.send(&set(3, 0, &[ball(1, 3.0), ball(2, 3.0)]));
+        bench.send(&set(9, 0, &[ball(1, 9.0)]));
+        assert_eq!(bench.place().1, Some(9));
+        let later = NOW + 10_000_000_000;
+        let mut fresh = set(9, 1, &[ball(1, 9.0)]);
+        fresh.header.capture_ns = later;
+        bench.table.accept(&fresh, later, &InputLimits::default()).unwrap();
+        bench.builder.accept(&fresh);
+        let mut forgotten = Vec::new();
+        bench.table.forget_expired(later, &InputLimits::default(), |source| forgotten.push(source));
+        assert_eq!(forgotten, [3]);
+        bench.builder.forget(3);
+        bench.builder.forget(4);
+        assert_eq!(bench.place(), (vec![(key(9, 1), 9.0, false)], None));
+        bench.builder.accept(&set(3, 1, &[ball(1, 3.0)]));
+        assert_eq!(bench.place().0.len(), 2);
+    }
+
+    #[test]
     fn a_hull_comes_from_the_pool_and_placing_it_allocates_nothing() {
         let mut bench = Bench::new(64);
         let mut message = set(3, 0, &[]);
         assert!(message.push_hull(Obstacle::new(5, ObstacleKind::Hull, [1.0, 0.0, 0.0], [0.0; 3]), &CUBE));
         bench.send(&message);
-        assert_no_alloc::assert_no_alloc(|| bench.reader.place(&bench.table, NOW, 0.1, &InputLimits::default()));
+        assert_no_alloc::assert_no_alloc(|| {
+            bench.reader.place(&bench.table, NOW, [0.02, 0.12], &InputLimits::default())
+        });
         let pair = bench.reader.pair();
         let (distance, _) = pair.now().as_slice()[0].distance(&nalgebra::Vector3::new(1.0, 0.0, -0.05));
         assert!((distance - 0.05).abs() < 1e-6, "{distance}");

@@ -60,7 +60,7 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
         (RefusalReason::WrongState, 3) => {
             "the tensions are still on their way to the safe value: try again in a moment"
         }
-        (RefusalReason::WrongState, 4) => "no fault is latched",
+        (RefusalReason::WrongState, 4) => "no fault is latched; sources of obstacles that had expired are forgotten",
         (RefusalReason::Faulted, _) => "a fault is latched: see `sinew status`, mend its cause, then `sinew clear`",
         (RefusalReason::CausePersists, _) => "the cause of the fault persists: see `sinew status`",
         (RefusalReason::DrivesNotReady, _) => "the drives are not ready: see `sinew status` for the first that is not",
@@ -69,8 +69,8 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
             "there is no fresh target: give one with `sinew target`, or start the task client"
         }
         (RefusalReason::ObstaclesExpired, _) => {
-            "obstacles are unknown or too old: start the perception client (an empty set says that nothing is there), or \
-             set `obstacles.require_source = false`"
+            "obstacles are unknown or too old: start the perception client (an empty set says that nothing is there), \
+             `sinew clear` one that is gone for good, or set `obstacles.require_source = false`"
         }
         (reason, _) => reason.text(),
     }

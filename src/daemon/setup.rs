@@ -163,11 +163,44 @@ pub fn open_buses(config: &Config) -> Result<Vec<Box<dyn CanBus>>, DaemonError> 
         };
         let mut spec = BusSpec::new(kind, bus.interface.clone());
         spec.fd = bus.fd;
-        // Two cycles of a full bus: what is older is not worth sending.
+        // A cycle of a full bus, or what the master has to say to so many drives at once. What is left of a cycle when the
+        // next one begins is dropped by whoever sends them.
         spec.queue_length = 256;
         bus_config::open(&spec).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
     };
     config.drives.buses.iter().map(open).collect()
+}
+
+/// Frames that a cycle has on each bus: the torques, and SYNC.
+fn cycle_frames(config: &Config, bus: usize) -> usize {
+    let drives = config.drives.drives.iter().filter(|drive| drive.bus == bus).count();
+    1 + match config.drives.buses[bus].layout {
+        BusLayout::Classic => drives,
+        BusLayout::Packed => drives.min(1),
+    }
+}
+
+/// Which interfaces of the kernel have a transmit queue that does not hold a cycle, in words with the remedy. A cycle is
+/// handed over at once; what does not fit waits in this process until the next cycle, and is dropped then, SYNC first of
+/// all. `queue_length` is the kernel's word about an interface: `None` where it has none to say, 0 without a queue.
+pub(crate) fn short_queues(config: &Config, queue_length: impl Fn(&str) -> Option<usize>) -> Vec<String> {
+    let of_kernel = |(_, bus): &(usize, &crate::config::BusConfig)| bus.kind == BusKind::Socketcan;
+    let short = |(index, bus): (usize, &crate::config::BusConfig)| {
+        let (frames, length) = (cycle_frames(config, index), queue_length(&bus.interface)?);
+        (1..frames).contains(&length).then(|| {
+            let (name, interface, wanted) = (&bus.name, &bus.interface, 2 * frames);
+            format!(
+                "bus {name}: the transmit queue of {interface} holds {length} frames and a cycle has {frames}: its torques \
+                 or SYNC will be late or missing; `ip link set {interface} txqueuelen {wanted}`"
+            )
+        })
+    };
+    config.drives.buses.iter().enumerate().filter(of_kernel).filter_map(short).collect()
+}
+
+/// Length of an interface's transmit queue as the kernel tells it.
+pub(crate) fn queue_length(interface: &str) -> Option<usize> {
+    std::fs::read_to_string(format!("/sys/class/net/{interface}/tx_queue_len")).ok()?.trim().parse().ok()
 }
 
 #[cfg(test)]
@@ -222,6 +255,29 @@ mod tests {
             c.drives.buses.iter_mut().for_each(|bus| bus.data_bitrate_bps = 2_000_000);
         };
         assert!(matches!(check(&config_with("drives-4-fd-buses.toml", slow)), Err(DaemonError::BusLoad { .. })));
+    }
+
+    #[test]
+    fn a_transmit_queue_shorter_than_a_cycle_is_named_with_its_remedy() {
+        let on_can = |c: &mut Config| {
+            for (i, bus) in c.drives.buses.iter_mut().enumerate() {
+                (bus.kind, bus.interface) = (BusKind::Socketcan, format!("can{i}"));
+            }
+        };
+        let one_bus = config(on_can);
+        let said = short_queues(&one_bus, |_| Some(10));
+        assert_eq!(said.len(), 1);
+        for part in ["can0", "holds 10 frames", "a cycle has 25", "txqueuelen 50"] {
+            assert!(said[0].contains(part), "{part} is not in {said:?}");
+        }
+        for enough in [Some(25), Some(1000), Some(0), None] {
+            assert!(short_queues(&one_bus, |_| enough).is_empty(), "{enough:?}");
+        }
+        // Packed: one frame of torques, and SYNC. The user-space bus has no queue.
+        assert!(short_queues(&config_with("drives-4-fd-buses.toml", on_can), |_| Some(2)).is_empty());
+        assert_eq!(short_queues(&config_with("drives-4-fd-buses.toml", on_can), |_| Some(1)).len(), 4);
+        assert!(short_queues(&config(|_| {}), |_| Some(10)).is_empty());
+        assert_eq!(queue_length("no such interface"), None);
     }
 
     #[test]

@@ -46,7 +46,8 @@ pub struct BusReport {
     pub frames: u64,
     /// Frames that this process was too slow for.
     pub lost: u64,
-    /// Frames of cycles (torques and SYNC) that the bus did not take: its drives kept the torques of the cycle before.
+    /// Frames of cycles (torques and SYNC) that the bus did not take, or not before the next cycle: its drives kept the
+    /// torques of the cycle before.
     pub unsent: u64,
 }
 
@@ -354,19 +355,20 @@ impl StatusServer {
         bind().map(Self).map_err(|source| DaemonError::StatusSocket { arm: arm.to_owned(), source })
     }
 
-    /// Serves those who wait.
-    pub(crate) fn serve(&self, shared: &Shared) {
-        while let Ok((mut stream, _)) = self.0.accept() {
-            let answer = serde_json::to_vec(&shared.report()).unwrap_or_default();
-            // Whoever does not read is not worth waiting for.
-            let sent = stream
-                .set_nonblocking(false)
-                .and_then(|()| stream.set_write_timeout(Some(Duration::from_millis(100))))
-                .and_then(|()| stream.write_all(&answer));
-            if let Err(error) = sent {
-                tracing::debug!(%error, "status not delivered");
-            }
+    /// Serves one of those who wait, so that whoever asks without end cannot keep the caller from its other duties;
+    /// whether there was one.
+    pub(crate) fn serve(&self, shared: &Shared) -> bool {
+        let Ok((mut stream, _)) = self.0.accept() else { return false };
+        let answer = serde_json::to_vec(&shared.report()).unwrap_or_default();
+        // Whoever does not read is not worth waiting for.
+        let sent = stream
+            .set_nonblocking(false)
+            .and_then(|()| stream.set_write_timeout(Some(Duration::from_millis(100))))
+            .and_then(|()| stream.write_all(&answer));
+        if let Err(error) = sent {
+            tracing::debug!(%error, "status not delivered");
         }
+        true
     }
 }
 
@@ -421,6 +423,25 @@ mod tests {
         let fault = report.fault.unwrap();
         assert_eq!(fault.what, "an encoder is silent (cable 3)");
         assert!(fault.clears.contains("clear"));
+    }
+
+    #[test]
+    fn one_look_serves_one_who_asks() {
+        let domain = format!("test-turns-{}", std::process::id());
+        let shared = Shared::new(Fixed { arm: "arm".into(), ..Fixed::default() });
+        let server = StatusServer::bind(&domain, "arm").unwrap();
+        assert!(!server.serve(&shared), "nobody asks");
+        let asking = [(); 3].map(|()| UnixStream::connect_addr(&address(&domain, "arm").unwrap()).unwrap());
+        for served in 0..3 {
+            let mut waiting = asking[served..].iter();
+            let unanswered = |mut stream: &UnixStream| {
+                stream.set_nonblocking(true).unwrap();
+                stream.read(&mut [0]).is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
+            };
+            assert!(waiting.all(unanswered), "after {served} looks");
+            assert!(server.serve(&shared));
+        }
+        assert!(!server.serve(&shared));
     }
 
     #[test]

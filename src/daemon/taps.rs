@@ -23,6 +23,10 @@ impl Tap for Taps {
         self.recorder.obstacles(obstacles);
     }
 
+    fn forgotten(&mut self, source_id: u32) {
+        self.pairs.forget(source_id);
+    }
+
     fn target(&mut self, target: &Target) {
         self.recorder.target(target);
     }

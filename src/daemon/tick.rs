@@ -7,8 +7,8 @@ use super::obstacles::PairReader;
 use super::records;
 use crate::config::{Config, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request, StopWatch,
-    Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Phase,
+    Request, StopWatch, Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
@@ -19,7 +19,7 @@ use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
 use sinew_hal::motor_bank::MotorBank;
 
-/// Thresholds of all inputs as the configuration has them. Targets age like obstacles: both are clients' promises.
+/// Thresholds of all inputs as the configuration has them.
 ///
 /// In lockstep an input for the next tick may be looked at by a thread that read the clock just before that tick's time
 /// began, so a tick ahead is not the future there.
@@ -40,13 +40,20 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
         future_tolerance_s: InputLimits::default().future_tolerance_s + ahead_s,
         ..InputLimits::default()
     };
-    IoLimits { obstacles, target: InputLimits { growth_mps: 0.0, ..obstacles }, encoders }
+    let policy = &config.target;
+    let target = InputLimits {
+        stale_after_s: policy.stale_after_s,
+        hold_after_s: policy.hold_after_s,
+        future_tolerance_s: policy.future_tolerance_s + ahead_s,
+        ..InputLimits::default()
+    };
+    IoLimits { obstacles, target, encoders }
 }
 
 /// What the loop asks for by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AutoRequests {
-    /// Arm as soon as the drives are ready, once.
+    /// Arm as soon as the drives and their buses are ready, once.
     pub arm: bool,
     /// Track as soon as the arm holds and there are a target and known obstacles, once.
     pub track: bool,
@@ -75,6 +82,37 @@ pub(crate) struct TickTime {
 pub(crate) struct Ticked {
     pub(crate) mode: Mode,
     pub(crate) drives: DrivesInput,
+}
+
+/// What a tick saw, but for what is lent: the obstacles are moved between two looks at it.
+#[derive(Clone, Copy)]
+struct Seen {
+    tick: u64,
+    now_ns: u64,
+    late: bool,
+    valid: CableMask,
+    capture_ns: u64,
+    demand: ObstacleDemand,
+    target: Option<TargetInput>,
+    drives: DrivesInput,
+    request: Option<Request>,
+}
+
+impl Seen {
+    fn inputs<'a>(&self, lengths_m: &'a [f64], measured_n: &'a [f64], obstacles: &'a ObstaclePair) -> TickInputs<'a> {
+        TickInputs {
+            tick: self.tick,
+            now_ns: self.now_ns,
+            late: self.late,
+            encoders: EncoderReadings { lengths_m, valid: self.valid, capture_ns: self.capture_ns },
+            tensions_measured_n: measured_n,
+            obstacles,
+            demand: self.demand,
+            target: self.target,
+            drives: self.drives,
+            request: self.request,
+        }
+    }
 }
 
 /// Everything that the control thread owns.
@@ -184,18 +222,9 @@ impl<E: Estimator> Controller<E> {
         let began_ns = monotonic_ns();
 
         let mut watch = Watch { began_ns, until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
-        let inputs = TickInputs {
-            tick: time.tick,
-            now_ns,
-            late: time.late,
-            encoders: EncoderReadings { lengths_m: &self.lengths, valid, capture_ns },
-            tensions_measured_n: &self.measured,
-            obstacles: self.obstacles.pair(),
-            demand,
-            target,
-            drives,
-            request,
-        };
+        let seen =
+            Seen { tick: time.tick, now_ns, late: time.late, valid, capture_ns, demand, target, drives, request };
+        let inputs = seen.inputs(&self.lengths, &self.measured, self.obstacles.pair());
         let output = self.cycle.tick(&inputs, &mut self.rng, &mut watch);
 
         let sending_ns = monotonic_ns();
@@ -208,7 +237,12 @@ impl<E: Estimator> Controller<E> {
         let sent_ns = monotonic_ns();
 
         let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns;
-        self.cycle.report(&inputs);
+        if self.cycle.latency_s() > 0.0 {
+            // The record's state is that of the tick, and so are the obstacles that it is measured against.
+            let (table, limits) = (self.inputs.obstacles(), &self.limits.obstacles);
+            self.obstacles.move_to(table, now_ns, [0.0, self.lookahead_s], limits);
+        }
+        self.cycle.report(&seen.inputs(&self.lengths, &self.measured, self.obstacles.pair()));
         self.cycle.record_mut().timing = Timing {
             wakeup_ns: time.wakeup_ns,
             input_ns: began_ns.saturating_sub(time.woke_ns),
@@ -226,11 +260,13 @@ impl<E: Estimator> Controller<E> {
         Ticked { mode: output.mode, drives }
     }
 
-    /// Moves the obstacles, and what their sources ask for.
+    /// Moves the obstacles to where they will be when this tick's tensions begin to act, for the planner starts from the
+    /// arm as it will be then; and what their sources ask for.
     fn place_obstacles(&mut self, now_ns: u64) -> ObstacleDemand {
         let limits = &self.limits.obstacles;
         let table = self.inputs.obstacles();
-        let unplaced = self.obstacles.place(table, now_ns, self.lookahead_s, limits);
+        let acts_s = self.cycle.latency_s();
+        let unplaced = self.obstacles.place(table, now_ns, [acts_s, acts_s + self.lookahead_s], limits);
         table.report_into(now_ns, limits, &mut self.state);
         if let Some(source) = unplaced {
             return ObstacleDemand::Hold { source };
@@ -297,7 +333,7 @@ impl<E: Estimator> Controller<E> {
             if moving {
                 return (Some(Request::Stop), None);
             }
-        } else if self.auto.arm && mode == Mode::Disarmed && drives.ready {
+        } else if self.auto.arm && mode == Mode::Disarmed && can_come_up(drives) {
             self.auto.arm = false;
             return (Some(Request::Arm), None);
         } else if self.auto.track && mode == Mode::Holding && target_fresh && demand == ObstacleDemand::Proceed {
@@ -344,6 +380,11 @@ impl<E: Estimator> Controller<E> {
     }
 }
 
+/// Whether the supervisor would not refuse to bring the drives up: what is asked for once must not be spent on a refusal.
+fn can_come_up(drives: &DrivesInput) -> bool {
+    drives.ready && drives.fault.is_none() && drives.bus_lost.is_none()
+}
+
 /// The loop's period (ns).
 pub(crate) fn period_ns(config: &Config) -> u64 {
     (1e9 * config.timing.period_s).round() as u64
@@ -367,3 +408,7 @@ fn target_of(sample: &TargetSample) -> Target {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "tick_tests.rs"]
+mod tests;

@@ -49,6 +49,8 @@ pub trait Tap: Send {
     fn obstacles(&mut self, _obstacles: &Obstacles) {}
     /// An accepted target.
     fn target(&mut self, _target: &Target) {}
+    /// A source of obstacles was forgotten: it has none any more.
+    fn forgotten(&mut self, _source_id: u32) {}
     /// An event of the loop.
     fn event(&mut self, _event: &Event) {}
 }
@@ -68,6 +70,10 @@ impl<T: Tap> Tap for Option<T> {
 
     fn target(&mut self, target: &Target) {
         self.iter_mut().for_each(|tap| tap.target(target));
+    }
+
+    fn forgotten(&mut self, source_id: u32) {
+        self.iter_mut().for_each(|tap| tap.forgotten(source_id));
     }
 
     fn event(&mut self, event: &Event) {
@@ -160,7 +166,11 @@ impl<T: Tap> IoThread<T> {
         while moved < MOVED_PER_PASS
             && let Ok(state) = self.ends.records.pop()
         {
-            self.last = (state.supervisor, state.fault_code, state.fault_detail);
+            let before = std::mem::replace(&mut self.last, (state.supervisor, state.fault_code, state.fault_detail)).0;
+            // Only on the change: clients give their targets before they arm.
+            if is_armed(before) && !is_armed(state.supervisor) {
+                self.clear_target();
+            }
             self.tap.state(&state);
             self.ports.publish_state(&state)?;
             moved += 1;
@@ -210,12 +220,7 @@ impl<T: Tap> IoThread<T> {
         while let Ok(reply) = self.ends.replies.pop() {
             moved += 1;
             let Some(place) = self.open.iter().position(|(c, ..)| c.ticket == reply.ticket) else { continue };
-            let (command, _, request) = self.open.swap_remove(place);
-            if command.kind == RequestKind::Clear && reply.verdict == Verdict::Accepted {
-                self.obstacles.forget_expired(now(), &self.limits.obstacles);
-                self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
-                self.ends.obstacles.publish();
-            }
+            let (.., request) = self.open.swap_remove(place);
             self.answer(&request, reply);
         }
         while self.open.len() < OPEN_REQUESTS_MAX
@@ -248,6 +253,9 @@ impl<T: Tap> IoThread<T> {
         } else {
             None
         };
+        if kind == Some(RequestKind::Clear) && refused.is_none() {
+            self.forget_expired(now_ns);
+        }
         if let Some((reason, detail)) = refused {
             return self.answer(&request, Reply { detail, ..self.refusal(&command, reason) });
         }
@@ -263,6 +271,26 @@ impl<T: Tap> IoThread<T> {
         self.ends.target.input_buffer_mut().copy_from(&self.target);
         self.ends.target.publish();
         Ok(())
+    }
+
+    /// What the operator clears away whether or not a fault is latched: a camera that is gone for good asks for a hold, and
+    /// that is none.
+    fn forget_expired(&mut self, now_ns: u64) {
+        let Self { obstacles, tap, .. } = self;
+        obstacles.forget_expired(now_ns, &self.limits.obstacles, |source_id| {
+            tracing::warn!(source_id, "expired source of obstacles forgotten");
+            tap.forgotten(source_id);
+        });
+        self.ends.obstacles.input_buffer_mut().copy_from(obstacles);
+        self.ends.obstacles.publish();
+    }
+
+    /// An arm that was stopped, or stopped itself, does not go on to where it was sent before: whoever arms it anew gives
+    /// a target anew.
+    fn clear_target(&mut self) {
+        self.target.clear();
+        self.ends.target.input_buffer_mut().copy_from(&self.target);
+        self.ends.target.publish();
     }
 
     /// A refusal by this thread, with the state of the last record.
@@ -297,4 +325,9 @@ impl<T: Tap> IoThread<T> {
             tracing::debug!(?error, "answer not delivered");
         }
     }
+}
+
+/// Whether the arm is on its way to tension, under tension, or on its way out of it in order.
+fn is_armed(supervisor: u32) -> bool {
+    ![SupervisorState::Disarmed, SupervisorState::Faulted].map(SupervisorState::wire).contains(&supervisor)
 }

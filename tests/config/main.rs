@@ -479,6 +479,13 @@ fn times_that_contradict_each_other_are_refused() {
         "hold_after_s = 0.1",
         &["`obstacles.hold_after_s` = 0.1", "0.2 s (`stale_after_s`)"],
     );
+    let target =
+        |keys: &str| changed("controller.toml", "[obstacles]\n", &format!("[target]\n{keys}\n\n[obstacles]\n"));
+    expect(
+        target("stale_after_s = 0.5\nhold_after_s = 0.4"),
+        &["controller.toml", "`target.hold_after_s` = 0.4", "0.5 s (`stale_after_s`) to 600 s"],
+    );
+    expect(target("stale_after_s = 30.0"), &["controller.toml", "`target.stale_after_s` = 30", "> 0 and <= 10"]);
     refuse("drives.toml", "heartbeat_timeout_s = 0.15", "heartbeat_timeout_s = 0.06", &["0.1 s (two heartbeats)"]);
     refuse("drives.toml", "sync_timeout_s = 0.1", "sync_timeout_s = 0.015", &["0.02 s (two periods of the loop)"]);
     refuse(

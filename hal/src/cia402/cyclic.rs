@@ -47,7 +47,7 @@ impl DriveMask {
 pub(crate) struct Shared {
     pub(crate) controlwords: Box<[AtomicU16]>,
     pub(crate) cycle: AtomicU64,
-    /// Frames of cycles that a bus did not take, by bus.
+    /// Frames of cycles that a bus did not take, or not before the next cycle, by bus.
     pub(crate) unsent: Box<[AtomicU64]>,
 }
 
@@ -73,6 +73,8 @@ pub struct CycleReport {
     pub limited: DriveMask,
     /// Buses (bit by index) whose SYNC was not taken: all drives there keep their torque.
     pub sync_not_sent: u32,
+    /// Frames of the cycle before that still waited for their bus, and were dropped for this one's.
+    pub superseded: usize,
     /// The first refusal.
     pub error: Option<SendError>,
 }
@@ -120,10 +122,23 @@ impl CycleWriter {
 
     /// Sends every drive its controlword and torque (per mille of rated torque, positive pulls), then SYNC on every
     /// bus. A drive for which no torque is given gets 0. Allocates nothing and does not block.
+    ///
+    /// What is left of the cycle before is dropped first: torques are of use while they are the newest, and a bus that falls
+    /// behind must not replay old ones in order. A bus that never takes a whole cycle gets no SYNC then, and its drives go
+    /// safe.
     pub fn write_cycle(&mut self, torques_permille: &[i16]) -> CycleReport {
         // Counted before SYNC leaves, so that the receive side never sees a SYNC whose number is not there yet.
         let cycle = self.shared.cycle.fetch_add(1, Ordering::AcqRel) + 1;
         let mut report = CycleReport { cycle, ..CycleReport::default() };
+        for (bus, line) in self.buses.iter_mut().enumerate() {
+            let left = line.discard_waiting();
+            report.superseded += left;
+            if left > 0
+                && let Some(unsent) = self.shared.unsent.get(bus)
+            {
+                unsent.fetch_add(left as u64, Ordering::Relaxed);
+            }
+        }
         for i in 0..self.drives.len() {
             let d = self.drives[i];
             let wanted = torques_permille.get(i).copied().unwrap_or(0);

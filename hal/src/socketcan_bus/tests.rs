@@ -3,12 +3,17 @@
 
 use std::cell::RefCell;
 use std::os::fd::{AsRawFd, OwnedFd};
+use std::sync::atomic::{AtomicU16, AtomicU64};
 
 use rustix::net::{AddressFamily, SocketFlags, SocketType};
 
 use super::*;
 use crate::bus_config::BusKind;
 use crate::can::Id;
+use crate::canopen::NodeId;
+use crate::cia402::CycleWriter;
+use crate::cia402::Layout;
+use crate::cia402::cyclic::{Address, Shared};
 
 thread_local! {
     /// The wire's end of the socket that `reconnect` made last; none: the interface is still missing.
@@ -96,6 +101,48 @@ fn a_full_transmit_queue_is_bridged_in_order_and_then_refused() {
     assert_eq!(bus.queued(), 0);
     all.extend(drain(&wire));
     assert_eq!(all, (0..sent).map(frame).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_new_cycle_takes_the_place_of_what_is_left_of_the_one_before() {
+    const DRIVES: usize = 4;
+    const FRAMES: usize = DRIVES + 1;
+    let (bus, wire) = bus(&spec(256));
+    let node = |i: usize| NodeId::new(i as u8 + 1).unwrap();
+    let drives = (0..DRIVES).map(|i| Address { bus: 0, node: node(i), rank: i, torque_permille_max: i16::MAX });
+    let shared = Arc::new(Shared {
+        controlwords: (0..DRIVES).map(|_| AtomicU16::new(0)).collect(),
+        cycle: AtomicU64::new(0),
+        unsent: Box::new([AtomicU64::new(0)]),
+    });
+    let mut writer = CycleWriter::new(vec![Box::new(bus)], drives.collect(), vec![Layout::Classic], shared.clone());
+    let unsent = || shared.unsent[0].load(Ordering::Relaxed);
+    // Nobody reads: at some cycle the kernel's queue is full, and part of it is left when the next one begins.
+    let mut cycle = 0;
+    let mut write = || {
+        cycle += 1;
+        (cycle, writer.write_cycle(&[cycle; DRIVES]))
+    };
+    let (after, left) = loop {
+        let (cycle, report) = write();
+        assert!(report.not_sent.is_empty() && report.sync_not_sent == 0, "{report:?}");
+        if report.superseded > 0 {
+            break (cycle, report.superseded);
+        }
+    };
+    assert!(left <= FRAMES && unsent() == left as u64);
+    // The wire is free again: what was left of the last cycle gives way to the newest torques, whole and in order.
+    let cycle_of = |frame: &Frame| match frame.data() {
+        [] => None,
+        data => Some(i16::from_le_bytes([data[2], data[3]])),
+    };
+    let before = drain(&wire);
+    assert_eq!(before.len(), FRAMES * (after as usize - 1) - left);
+    let (newest, report) = write();
+    assert_eq!((report.superseded, unsent()), (FRAMES, (left + FRAMES) as u64));
+    let cycles: Vec<_> = drain(&wire).iter().map(cycle_of).collect();
+    assert_eq!(cycles, [Some(newest), Some(newest), Some(newest), Some(newest), None]);
+    assert_eq!(write().1.superseded, 0);
 }
 
 #[test]

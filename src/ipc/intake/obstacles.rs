@@ -254,12 +254,13 @@ impl ObstacleTable {
         ObstacleDemand::Proceed
     }
 
-    /// Forgets sources that are expired and not declared, as the operator's `clear` asks; their counters stay until the
-    /// place is needed.
-    pub fn forget_expired(&mut self, now_ns: u64, limits: &InputLimits) {
+    /// Forgets sources that are expired and not declared, as the operator's `clear` asks, and tells their ids; their
+    /// counters stay until the place is needed.
+    pub fn forget_expired(&mut self, now_ns: u64, limits: &InputLimits, mut forgotten: impl FnMut(u32)) {
         for slot in &mut self.slots {
             if slot.used && !slot.declared && slot.log.health(now_ns, limits) == SourceHealth::Expired {
                 slot.log.last = None;
+                forgotten(slot.log.source_id);
             }
         }
     }

@@ -159,7 +159,9 @@ fn the_ninth_source_is_refused_and_counted() {
     table.report_into(NOW, &LIMITS, &mut state);
     assert_eq!(state.obstacle_sources_refused, 1);
     // The operator's clear makes room once one is expired.
-    table.forget_expired(NOW + SECOND, &LIMITS);
+    let mut forgotten = Vec::new();
+    table.forget_expired(NOW + SECOND, &LIMITS, |source| forgotten.push(source));
+    assert_eq!(forgotten, [1, 2, 3, 4, 5, 6, 7, 8]);
     table.accept(&set(9, 0, NOW + SECOND, &[]), NOW + SECOND, &LIMITS).unwrap();
 }
 

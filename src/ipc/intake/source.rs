@@ -41,7 +41,10 @@ impl SourceLog {
         if header.capture_ns < last.capture_ns {
             return Err(RejectCause::Backwards);
         }
-        let restarted = header.sequence == 0 && header.capture_ns > last.capture_ns;
+        // A restarted source begins at 0, but that message may have been replaced by the next before it was taken, or
+        // refused. While the old life is fresh, a lower number is a message that was overtaken.
+        let restarted = header.capture_ns > last.capture_ns
+            && (header.sequence == 0 || self.health(now_ns, limits) != SourceHealth::Fresh);
         if header.sequence <= last.sequence && !restarted {
             return Err(RejectCause::Sequence);
         }
@@ -124,12 +127,26 @@ mod tests {
     #[test]
     fn a_repeated_sequence_is_refused_and_a_restart_is_not() {
         let log = heard(5, SECOND);
-        let check = |sequence, capture_ns| log.check(&Header::new(7, sequence, capture_ns), 2 * SECOND, &LIMITS);
+        let check =
+            |sequence, capture_ns| log.check(&Header::new(7, sequence, capture_ns), SECOND + SECOND / 10, &LIMITS);
         assert_eq!(check(5, SECOND + 1), Err(RejectCause::Sequence));
         assert_eq!(check(4, SECOND + 1), Err(RejectCause::Sequence));
         assert_eq!(check(0, SECOND), Err(RejectCause::Sequence));
         assert_eq!(check(0, SECOND + 1), Ok(()));
         assert_eq!(check(6, SECOND), Ok(()));
+    }
+
+    #[test]
+    fn a_restart_whose_first_message_was_not_seen_is_taken_as_soon_as_the_old_life_is_stale() {
+        let log = heard(5, SECOND);
+        let stale_ns = SECOND + 100_000_001;
+        let check = |sequence, capture_ns, now_ns| log.check(&Header::new(7, sequence, capture_ns), now_ns, &LIMITS);
+        assert_eq!(check(1, stale_ns - 1, stale_ns - 1), Err(RejectCause::Sequence), "fresh still");
+        assert_eq!(check(1, stale_ns, stale_ns), Ok(()));
+        assert_eq!(check(5, stale_ns, stale_ns), Ok(()));
+        // The old life's own messages are no restart, however late they come.
+        assert_eq!(check(5, SECOND, stale_ns), Err(RejectCause::Sequence));
+        assert_eq!(check(4, SECOND - 1, stale_ns), Err(RejectCause::Backwards));
     }
 
     #[test]

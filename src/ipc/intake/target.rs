@@ -113,7 +113,7 @@ impl TargetTrack {
         Ok(())
     }
 
-    /// Forgets all points (after a stop).
+    /// Forgets all points (after a stop or a fault); the source's clock and sequence go on.
     pub fn clear(&mut self) {
         self.count = 0;
         self.dropped_to_ns = 0;
