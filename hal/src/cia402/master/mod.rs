@@ -251,7 +251,9 @@ impl Master {
             }
             _ => {
                 if let Some((word, ..)) = decode_tpdo1(data) {
-                    self.slots[i].status.statusword = Some(word);
+                    let slot = &mut self.slots[i];
+                    slot.status.statusword = Some(word);
+                    (slot.feedback_ns, slot.feedback_cycle) = (now_ns, self.shared.cycle.load(Ordering::Acquire));
                 }
             }
         }
