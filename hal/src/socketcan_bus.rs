@@ -166,7 +166,7 @@ impl SocketCanBus {
                 self.reopen();
             }
         }
-        self.flush();
+        self.empty_queue();
     }
 
     fn reopen(&mut self) {
@@ -179,7 +179,7 @@ impl SocketCanBus {
     }
 
     /// Hands waiting frames to the kernel as far as it takes them.
-    fn flush(&mut self) {
+    fn empty_queue(&mut self) {
         while let Some(frame) = self.queue.front().copied() {
             match self.transmit(&frame) {
                 Ok(()) => self.queue.pop(),
@@ -336,6 +336,11 @@ impl CanBus for SocketCanBus {
         }
         self.counters.sent = self.counters.sent.saturating_add(1);
         Ok(())
+    }
+
+    fn flush(&mut self) -> usize {
+        self.maintain();
+        self.queue.used
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, ReceiveError> {

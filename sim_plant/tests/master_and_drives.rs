@@ -4,18 +4,21 @@
 
 mod bench;
 
-use bench::{Bench, MS, configure, node, transfer};
+use bench::{Bench, MS, MemoryBus, configure, node, transfer};
 use proptest::prelude::*;
 use sim_plant::drive::objects::{PRODUCT, dictionary};
 use sim_plant::drive::{Drive, DriveBank, Nameplate};
-use sinew_hal::can::{Frame, Id, Kind, Received};
+use sinew_hal::can::{CanBus, Frame, Id, Kind, Received};
 use sinew_hal::canopen::emcy::{code, register};
 use sinew_hal::canopen::sdo_client::{Outcome, SdoError};
 use sinew_hal::canopen::{AbortCode, NmtCommand, NmtState};
 use sinew_hal::cia402::layout::packed_frame;
 use sinew_hal::cia402::objects as o;
 use sinew_hal::cia402::state::Command;
-use sinew_hal::cia402::{DriveMask, Event, Fault, Goal, Layout, ObjectWrite, Order, Phase, State};
+use sinew_hal::cia402::{
+    DriveMask, DriveSetup, Event, Fault, Goal, Layout, Master, MasterConfig, ObjectWrite, Order, Phase, State,
+};
+use std::time::Duration;
 
 fn twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back(layout: Layout) {
     let mut b = Bench::new(layout, 4, 6, |_| {});
@@ -256,6 +259,64 @@ fn frames_that_a_bus_does_not_take_are_counted_and_its_drives_keep_their_torques
     b.cycle(&mut writer, &[300; 6]);
     assert!((0..6).all(|i| b.drive(i / 3, i % 3).torque_permille() == 300));
     assert_eq!(b.master.unsent(1), 2 * rpdos + 1);
+}
+
+#[test]
+fn a_bus_that_takes_nothing_for_long_is_not_flooded_when_it_does_again() {
+    let (wire, drives) = (MemoryBus::default(), 24u8);
+    let mut listener = wire.handle();
+    let setups = (1..=drives).map(|n| DriveSetup::new(0, node(n))).collect();
+    let mut master = Master::new(MasterConfig::new(setups, node(127), 10_000), vec![Box::new(wire)]).unwrap();
+    // The cable is off, for a minute; whoever waits for the drives starts over and over.
+    listener.refuse(Some(|_| true));
+    for ms in 0..60_000 {
+        if ms % 500 == 0 {
+            master.start(ms * MS);
+        }
+        master.poll(ms * MS);
+    }
+    assert_eq!(listener.waiting(), 0);
+    assert_eq!(master.given_up(0), 119 * 25, "all of the starts before");
+    listener.refuse(None);
+    master.poll(60_000 * MS);
+    let mut found = Vec::new();
+    while let Ok(Some(received)) = listener.receive(Duration::ZERO) {
+        found.push(received.frame);
+    }
+    let reset = |n| NmtCommand::ResetNode.encode(Some(node(n)));
+    let mut expected: Vec<_> = (1..=drives).map(reset).collect();
+    expected.insert(0, NmtState::Operational.heartbeat(node(127)));
+    assert_eq!(found, expected, "one start's frames and one heartbeat");
+}
+
+#[test]
+fn what_waits_for_a_bus_is_bounded_and_the_oldest_goes_first() {
+    let (wire, drives) = (MemoryBus::default(), 126u8);
+    let mut listener = wire.handle();
+    let setups = (1..=drives).map(|n| DriveSetup::new(0, node(n))).collect();
+    let mut master = Master::new(MasterConfig::new(setups, node(127), 10_000), vec![Box::new(wire)]).unwrap();
+    listener.refuse(Some(|_| true));
+    master.start(0);
+    // All are heard and none hears: three attempts to read the first object, and an abort after each.
+    for n in 1..=drives {
+        let received = Received { frame: NmtState::BootUp.heartbeat(node(n)), time_ns: 0 };
+        master.poll(0);
+        master.on_frame(0, &received, 0);
+    }
+    let progress = (0..2000).map(|ms| master.poll(ms * MS)).last().unwrap();
+    assert_eq!(progress.failed, usize::from(drives));
+    let made = u64::from(drives) * (1 + 6);
+    listener.refuse(None);
+    master.poll(2000 * MS);
+    let mut found = Vec::new();
+    while let Ok(Some(received)) = listener.receive(Duration::ZERO) {
+        found.push(received.frame);
+    }
+    assert!(found.len() <= 513 && master.given_up(0) + 513 >= made, "{} of {made}", found.len());
+    // The resets of the beginning are gone, the last aborts are there.
+    assert!(found.iter().all(|f| f.id() != Id::Standard(0)));
+    let aborts = found.iter().rev().take(usize::from(drives)).filter(|f| f.data()[0] == 0x80).count();
+    assert!(aborts + 1 >= usize::from(drives), "{aborts}");
 }
 
 #[test]

@@ -145,6 +145,49 @@ fn received_frames_carry_a_monotonic_time_that_is_not_in_the_future() {
 }
 
 #[test]
+fn a_flush_hands_over_what_the_kernel_takes_and_tells_what_is_left() {
+    let (mut bus, wire) = bus(&spec(5));
+    while bus.queued() < 5 {
+        bus.send(&frame(1)).unwrap();
+    }
+    assert_eq!(CanBus::flush(&mut bus), 5);
+    drain(&wire);
+    assert_eq!(CanBus::flush(&mut bus), 0);
+    assert_eq!(drain(&wire), [frame(1); 5]);
+}
+
+#[test]
+fn the_master_leaves_nothing_in_a_handles_queue_that_it_would_want_back() {
+    MAY_RECONNECT.set(true);
+    let (near, wire) = pair();
+    let other = CanSocket::from(rustix::io::dup(&near).unwrap());
+    let name = InterfaceName::new("can9").unwrap();
+    let bus = SocketCanBus::with_socket(name, &spec(256), near, reconnect);
+    // A cable that is off: the queue of the interface is full and stays so.
+    let mut bytes = [0; FD_LEN];
+    let len = wire::encode(&frame(0), &mut bytes);
+    while socket::send(&other, &bytes[..len]).is_ok() {}
+    let node = |n| crate::canopen::NodeId::new(n).unwrap();
+    let drives = (1..=24).map(|n| crate::cia402::DriveSetup::new(0, node(n))).collect();
+    let config = crate::cia402::MasterConfig::new(drives, node(127), 10_000);
+    let mut master = crate::cia402::Master::new(config, vec![Box::new(bus)]).unwrap();
+    for ms in 0..20_000 {
+        if ms % 500 == 0 {
+            master.start(ms * 1_000_000);
+        }
+        master.poll(ms * 1_000_000);
+    }
+    drain(&wire);
+    // The frame that the handle held, then those of the last start: a heartbeat, and a reset of each drive.
+    let mut found = Vec::new();
+    for _ in 0..100 {
+        master.poll(20_000 * 1_000_000);
+        found.extend(drain(&wire));
+    }
+    assert_eq!(found.len(), 1 + 1 + 24, "{found:?}");
+}
+
+#[test]
 fn error_frames_change_the_state_of_all_handles_and_are_no_frames() {
     let (mut bus, wire) = bus(&spec(4));
     MAY_RECONNECT.set(true);
