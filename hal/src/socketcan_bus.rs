@@ -37,6 +37,11 @@ const RETRY_NS: u64 = 200_000;
 /// Error frames taken in one poll, so that a storm of them does not hold the caller.
 const ERROR_FRAMES_MAX: u32 = 64;
 
+/// Frames that other handles send at the same time as a burst: a heartbeat, and one more.
+const OTHERS: usize = 2;
+/// Length that is advised for a transmit queue which is too short: enough for any cycle of one bus.
+const QUEUE_ADVISED: usize = 128;
+
 type OpenSocket = fn(InterfaceName, bool) -> Result<CanSocket, Refusal>;
 
 /// State of the controller, common to all handles of one `open`.
@@ -46,6 +51,8 @@ struct Controller {
     state: AtomicU32,
     /// Transmit and receive error counter as last reported.
     errors: AtomicU32,
+    /// How often it went bus-off: each handle empties its queue when this has changed, whoever was told of it.
+    bus_offs: AtomicU32,
 }
 
 impl Controller {
@@ -82,6 +89,8 @@ pub struct SocketCanBus {
     controller: Arc<Controller>,
     filters: Vec<[u32; 2]>,
     queue: Queue,
+    /// Times bus-off for which the queue was emptied.
+    bus_offs_seen: u32,
     /// State that `receive` has reported.
     state_seen: BusState,
     /// Next attempt at recovery, and the interval after it (ns).
@@ -100,6 +109,9 @@ impl SocketCanBus {
     pub fn open(spec: &BusSpec) -> Result<Self, OpenError> {
         let name = InterfaceName::new(&spec.name)?;
         let socket = socket::open(name, spec.fd).map_err(|r| r.into_error(name))?;
+        if spec.burst > 0 {
+            check_queue(name, socket::transmit_queue(&socket, name).map_err(|r| r.into_error(name))?, spec.burst)?;
+        }
         Ok(Self::with_socket(name, spec, socket, socket::open))
     }
 
@@ -114,6 +126,7 @@ impl SocketCanBus {
             controller: Arc::default(),
             filters: Vec::with_capacity(FILTERS_MAX),
             queue: Queue::new(spec.queue_length),
+            bus_offs_seen: 0,
             state_seen: BusState::ErrorActive,
             retry_at_ns: 0,
             backoff_ns: 0,
@@ -155,6 +168,7 @@ impl SocketCanBus {
 
     /// What is due on the way back from a lost bus, and what waits for the kernel. Does not block.
     fn maintain(&mut self) {
+        self.notice_bus_off();
         if let Restart::Reopen { longest, cycle_interface, .. } = self.restart
             && !self.state().carries_frames()
             && monotonic_ns() >= self.retry_at_ns
@@ -166,7 +180,19 @@ impl SocketCanBus {
                 self.reopen();
             }
         }
-        self.empty_queue();
+        if self.state().carries_frames() {
+            self.empty_queue();
+        }
+    }
+
+    /// Another handle may have read the error frame, and this one had none of its own to read.
+    fn notice_bus_off(&mut self) {
+        let bus_offs = self.controller.bus_offs.load(Ordering::Acquire);
+        if bus_offs != self.bus_offs_seen {
+            self.bus_offs_seen = bus_offs;
+            self.discard_queue();
+            self.plan_first_attempt();
+        }
     }
 
     fn reopen(&mut self) {
@@ -256,8 +282,8 @@ impl SocketCanBus {
             let before = self.controller.state();
             self.controller.set_state(state);
             if state == BusState::BusOff && before != BusState::BusOff {
-                self.discard_queue();
-                self.plan_first_attempt();
+                self.controller.bus_offs.fetch_add(1, Ordering::AcqRel);
+                self.notice_bus_off();
             }
         }
     }
@@ -299,6 +325,24 @@ enum Taken {
     Again,
     Nothing,
     Failed(i32),
+}
+
+/// Whether the interface's transmit queue takes a burst while other handles send as well. Drivers make it ten frames long
+/// (`alloc_candev`), and what their hardware holds beside it is not known here.
+fn check_queue(name: InterfaceName, found: usize, burst: usize) -> Result<(), OpenError> {
+    let wanted = burst + OTHERS;
+    let remedy = wanted.next_power_of_two().max(QUEUE_ADVISED);
+    let interface = name.as_str();
+    if found < burst {
+        return Err(OpenError::ShortQueue { interface: interface.to_owned(), found, burst, remedy });
+    }
+    if found < wanted {
+        tracing::warn!(
+            "the transmit queue of CAN interface {interface} holds {found} frames, and {burst} are sent at once in every \
+             cycle, beside heartbeats: `ip link set {interface} txqueuelen {remedy}` makes room"
+        );
+    }
+    Ok(())
 }
 
 fn is_link_loss(e: i32) -> bool {
@@ -414,6 +458,7 @@ impl CanBus for SocketCanBus {
             controller: Arc::clone(&self.controller),
             filters,
             queue: Queue::new(self.queue.frames.len()),
+            bus_offs_seen: self.controller.bus_offs.load(Ordering::Acquire),
             state_seen: BusState::ErrorActive,
             retry_at_ns: 0,
             backoff_ns: 0,

@@ -205,6 +205,24 @@ fn frames_wait_in_order_for_a_full_transmit_queue_and_are_refused_when_the_own_q
 }
 
 #[test]
+fn an_interface_whose_transmit_queue_is_shorter_than_a_cycle_is_refused_until_it_is_longer() {
+    let Some(interface) = Interface::make("sinew-short") else { return };
+    let lengthen = |frames: &str| assert!(ip(&["link", "set", &interface.0, "txqueuelen", frames]));
+    let spec = BusSpec { burst: 25, ..interface.spec() };
+    // What drivers of real controllers set.
+    lengthen("10");
+    let refused = open(&spec).map(drop).unwrap_err();
+    assert!(matches!(refused, OpenError::ShortQueue { found: 10, burst: 25, .. }), "{refused}");
+    let text = refused.to_string();
+    let command = text.split('`').nth(1).unwrap().strip_prefix("ip ").unwrap();
+    assert!(ip(&command.split(' ').collect::<Vec<_>>()), "{command}");
+    drop(open(&spec).unwrap());
+    lengthen("10");
+    drop(open(&BusSpec { burst: 7, ..interface.spec() }).unwrap());
+    drop(open(&interface.spec()).unwrap());
+}
+
+#[test]
 fn an_interface_that_is_removed_and_made_again_comes_back() {
     let Some(interface) = Interface::make("sinew-gone") else { return };
     let (mut a, mut b) = (interface.bus(), interface.bus());

@@ -1,7 +1,7 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusKind, BusLayout, Config, DriveConfig};
+use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig};
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
@@ -47,9 +47,8 @@ pub fn bus_loads(config: &Config) -> Vec<BusLoad> {
         .iter()
         .enumerate()
         .map(|(index, bus)| {
-            let count = drives.drives.iter().filter(|drive| drive.bus == index).count();
             let rates = BitRates { nominal: bus.bitrate_bps, data: bus.data_bitrate_bps };
-            let load = layout(bus.layout).load(rates, count, drives.heartbeat_s);
+            let load = layout(bus.layout).load(rates, drives_on(config, index), drives.heartbeat_s);
             BusLoad {
                 name: bus.name.clone(),
                 share: load.share(1.0 / config.timing.period_s),
@@ -154,20 +153,30 @@ fn milliseconds(seconds: f64) -> u16 {
 /// Opens every bus.
 ///
 /// # Errors
-/// The first that does not open, with its reason.
+/// The first that does not open, with its reason; an interface whose transmit queue is shorter than a cycle does not.
 pub fn open_buses(config: &Config) -> Result<Vec<Box<dyn CanBus>>, DaemonError> {
-    let open = |bus: &crate::config::BusConfig| {
-        let kind = match bus.kind {
-            BusKind::Virtual => bus_config::BusKind::Virtual,
-            BusKind::Socketcan => bus_config::BusKind::Socketcan,
-        };
-        let mut spec = BusSpec::new(kind, bus.interface.clone());
-        spec.fd = bus.fd;
-        // Two cycles of a full bus: what is older is not worth sending.
-        spec.queue_length = 256;
-        bus_config::open(&spec).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
+    let open = |(index, bus): (usize, &BusConfig)| {
+        bus_config::open(&bus_spec(config, index)).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
     };
-    config.drives.buses.iter().map(open).collect()
+    config.drives.buses.iter().enumerate().map(open).collect()
+}
+
+fn bus_spec(config: &Config, index: usize) -> BusSpec {
+    let bus = &config.drives.buses[index];
+    let kind = match bus.kind {
+        BusKind::Virtual => bus_config::BusKind::Virtual,
+        BusKind::Socketcan => bus_config::BusKind::Socketcan,
+    };
+    let mut spec = BusSpec::new(kind, bus.interface.clone());
+    spec.fd = bus.fd;
+    // Two cycles of a full bus: what is older is not worth sending.
+    spec.queue_length = 256;
+    spec.burst = layout(bus.layout).burst(drives_on(config, index));
+    spec
+}
+
+fn drives_on(config: &Config, bus: usize) -> usize {
+    config.drives.drives.iter().filter(|drive| drive.bus == bus).count()
 }
 
 #[cfg(test)]
@@ -222,6 +231,17 @@ mod tests {
             c.drives.buses.iter_mut().for_each(|bus| bus.data_bitrate_bps = 2_000_000);
         };
         assert!(matches!(check(&config_with("drives-4-fd-buses.toml", slow)), Err(DaemonError::BusLoad { .. })));
+    }
+
+    #[test]
+    fn every_bus_is_opened_for_the_frames_of_its_cycle() {
+        for (drives, bursts) in
+            [("drives.toml", vec![25]), ("drives-4-buses.toml", vec![7; 4]), ("drives-4-fd-buses.toml", vec![2; 4])]
+        {
+            let config = config_with(drives, |_| {});
+            let found: Vec<usize> = (0..config.drives.buses.len()).map(|bus| bus_spec(&config, bus).burst).collect();
+            assert_eq!(found, bursts, "{drives}");
+        }
     }
 
     #[test]

@@ -207,6 +207,41 @@ fn error_frames_change_the_state_of_all_handles_and_are_no_frames() {
 }
 
 #[test]
+fn bus_off_empties_the_queues_of_all_handles_whoever_was_told() {
+    // The sender calls while the bus is off, or only when it is back.
+    for calls in [true, false] {
+        MAY_RECONNECT.set(true);
+        let (mut bus, wire) = bus(&spec(4));
+        let mut sender = bus.duplicate().unwrap();
+        let sent_to = WIRE.with(|w| w.borrow_mut().pop()).unwrap();
+        while sender.send(&frame(1)).is_ok() {}
+        let sent = sender.counters().sent;
+        put_error(&wire, 0x40, [0; 8]);
+        assert_eq!(bus.receive(WAIT), Err(ReceiveError::Bus(BusState::BusOff)));
+        assert_eq!(drain(&sent_to).len() as u64, sent - 4, "the rest waits in the handle");
+        if calls {
+            assert_eq!(sender.send(&frame(2)), Err(SendError::Bus(BusState::BusOff)));
+        }
+        put_error(&wire, 0x100, [0; 8]);
+        assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+        assert_eq!(sender.send(&frame(3)), Ok(()));
+        assert_eq!(drain(&sent_to), [frame(3)], "old frames came out after the loss");
+        assert_eq!((sender.counters().sent, sender.counters().refused), (sent - 4 + 1, 1 + 4));
+    }
+}
+
+#[test]
+fn a_transmit_queue_shorter_than_a_cycle_is_refused_with_its_remedy() {
+    let name = InterfaceName::new("can9").unwrap();
+    let refused = check_queue(name, 10, 25).unwrap_err();
+    assert!(matches!(refused, OpenError::ShortQueue { found: 10, burst: 25, .. }));
+    assert!(refused.to_string().ends_with("`ip link set can9 txqueuelen 128`"), "{refused}");
+    assert!(check_queue(name, 24, 25).is_err() && check_queue(name, 25, 25).is_ok());
+    assert!(check_queue(name, 10, 7).is_ok(), "six drives on a bus as it comes");
+    assert!(matches!(check_queue(name, 128, 129), Err(OpenError::ShortQueue { remedy: 256, .. })));
+}
+
+#[test]
 fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
     MAY_RECONNECT.set(false);
     let (mut bus, _wire) = bus(&spec(8));
