@@ -34,6 +34,9 @@ use wire::{Datagram, FD_LEN};
 
 /// How often a full transmit queue is tried again while a receive waits (ns); one frame of 1 Mbit/s takes 130 us.
 const RETRY_NS: u64 = 200_000;
+/// Time in which three clocks are read undisturbed (ns), and how often it is tried.
+const CLOCK_READ_NS: u64 = 10_000;
+const CLOCK_READS_MAX: u32 = 4;
 /// Error frames taken in one poll, so that a storm of them does not hold the caller.
 const ERROR_FRAMES_MAX: u32 = 64;
 
@@ -255,8 +258,10 @@ impl SocketCanBus {
                     self.controller.set_state(BusState::ErrorActive);
                 }
                 self.counters.received = self.counters.received.saturating_add(1);
-                let now_ns = monotonic_ns();
-                let time_ns = arrival.stamp_real_ns.map_or(now_ns, |s| wire::to_monotonic(s, realtime_ns(), now_ns));
+                let time_ns = arrival.stamp_real_ns.map_or_else(monotonic_ns, |stamp_ns| {
+                    let (real_ns, now_ns) = both_clocks();
+                    wire::to_monotonic(stamp_ns, real_ns, now_ns)
+                });
                 Taken::Frame(Received { frame, time_ns })
             }
             Datagram::Error(report) => {
@@ -343,6 +348,20 @@ fn check_queue(name: InterfaceName, found: usize, burst: usize) -> Result<(), Op
         );
     }
     Ok(())
+}
+
+/// CLOCK_REALTIME and CLOCK_MONOTONIC at one instant. Who loses the processor between the two reads reads again: otherwise a
+/// SYNC would seem to be older than its cycle.
+fn both_clocks() -> (u64, u64) {
+    let mut pair = (0, 0);
+    for _ in 0..CLOCK_READS_MAX {
+        let before_ns = monotonic_ns();
+        pair = (realtime_ns(), monotonic_ns());
+        if pair.1.saturating_sub(before_ns) < CLOCK_READ_NS {
+            break;
+        }
+    }
+    pair
 }
 
 fn is_link_loss(e: i32) -> bool {

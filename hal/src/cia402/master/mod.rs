@@ -6,7 +6,7 @@
 //! from the next SYNC on, happen without a control loop.
 //!
 //! Enters: frames, the time, the goal. Leaves: frames, faults as data, the state of each drive ([`DriveStatus`]). It must
-//! never wait or read a clock.
+//! never wait or decide by a clock that it reads itself.
 
 mod goal;
 mod status;
@@ -27,7 +27,7 @@ use crate::canopen::cob::{SDO_REQUEST, frame};
 use crate::canopen::{Emergency, Message, NmtCommand, NmtState};
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Faults kept; older ones are dropped first and counted.
 pub const FAULTS_MAX: usize = 512;
@@ -81,11 +81,7 @@ impl Master {
                 torque_permille_max: i16::try_from(d.torque_permille_max).unwrap_or(i16::MAX),
             })
             .collect();
-        let shared = Arc::new(Shared {
-            controlwords: addresses.iter().map(|_| AtomicU16::new(0)).collect(),
-            cycle: AtomicU64::new(0),
-            unsent: buses.iter().map(|_| AtomicU64::new(0)).collect(),
-        });
+        let shared = Arc::new(Shared::new(addresses.len(), buses.len()));
         let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
         let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
