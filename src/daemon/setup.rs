@@ -86,6 +86,8 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
             tension_n_max: config.arm.tension_n_max,
             home_counts: 0,
             home_length_m: length,
+            // From all of it pulled in to as much again paid out.
+            travel_m: length,
         };
         (channel, torque_permille_max(drive))
     };
@@ -256,6 +258,19 @@ mod tests {
         bank.encode_into(&[100.0; 24], &mut torques).unwrap();
         // 100 N on 15 mm behind a gear of 10: 0.15 N m of 0.35.
         assert_eq!(torques, [429; 24]);
+    }
+
+    #[test]
+    fn an_encoder_that_would_run_over_within_its_cables_length_is_refused() {
+        let error = check(&config(|c| {
+            c.drives.drives[7].counts_per_turn = 100_000_000;
+            c.drives.drives[7].gear_ratio = 2000.0;
+        }))
+        .unwrap_err();
+        let text = error.to_string();
+        for part in ["[drives]", "cable 7", "counts_per_turn = 100000000", "must be 1 to ", "travel 0.65"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
     }
 
     #[test]
