@@ -266,6 +266,94 @@ fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
     assert_eq!(drain(&wire), [frame(3)]);
 }
 
+/// Whether the other end of this socket has been closed.
+fn is_closed(far: &CanSocket) -> bool {
+    let mut bytes = [0; FD_LEN];
+    socket::receive(far, &mut bytes).is_ok_and(|arrival| arrival.len == 0)
+}
+
+fn last_wire() -> CanSocket {
+    WIRE.with(|w| w.borrow_mut().pop()).unwrap()
+}
+
+#[test]
+fn a_handle_that_only_sends_neither_opens_nor_closes_a_socket_where_another_receives() {
+    MAY_RECONNECT.set(true);
+    let (mut bus, _wire) = bus(&spec(4));
+    let mut sender = bus.another().unwrap();
+    let first = last_wire();
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    sender.lose_link();
+    let opened = || WIRE.with(|w| w.borrow().len());
+    // Long after any interval of its own.
+    for _ in 0..20 {
+        std::thread::sleep(Duration::from_millis(1));
+        assert_eq!(sender.send(&frame(1)), Err(SendError::Bus(BusState::Down)));
+    }
+    assert_eq!(opened(), 0, "it opened a socket itself");
+    // The receiver sees to it: first to a new one, then that the old one is closed.
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert_eq!(opened(), 1);
+    assert_eq!(sender.state(), BusState::Down, "not before its next call");
+    assert_eq!(sender.send(&frame(2)), Ok(()));
+    let second = last_wire();
+    assert_eq!(drain(&second), [frame(2)]);
+    assert!(!is_closed(&first), "it closed a socket itself");
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert!(is_closed(&first));
+    // And once more, with the interface away for a while.
+    MAY_RECONNECT.set(false);
+    sender.lose_link();
+    assert_eq!(sender.send(&frame(3)), Err(SendError::Bus(BusState::Down)));
+    assert_eq!(bus.receive(Duration::from_millis(12)), Ok(None));
+    assert_eq!(sender.send(&frame(3)), Err(SendError::Bus(BusState::Down)));
+    MAY_RECONNECT.set(true);
+    assert_eq!(bus.receive(Duration::from_millis(12)), Ok(None));
+    assert_eq!(sender.send(&frame(4)), Ok(()));
+    assert_eq!(drain(&last_wire()), [frame(4)]);
+}
+
+#[test]
+fn where_nobody_receives_a_handle_comes_back_by_itself() {
+    MAY_RECONNECT.set(true);
+    let (mut bus, _wire) = bus(&spec(4));
+    {
+        // One that received, and is no more.
+        let mut receiver = bus.another().unwrap();
+        assert_eq!(receiver.receive(Duration::ZERO), Ok(None));
+    }
+    bus.lose_link();
+    while bus.send(&frame(1)).is_err() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(drain(&last_wire()), [frame(1)]);
+}
+
+#[test]
+fn a_handle_that_comes_back_late_does_not_hide_that_the_controller_went_off_since() {
+    MAY_RECONNECT.set(true);
+    let (mut early, _wire) = bus(&spec(4));
+    let mut late = early.another().unwrap();
+    for handle in [&mut early, &mut late] {
+        assert_eq!(handle.receive(Duration::ZERO), Ok(None));
+    }
+    let _ = last_wire();
+    early.lose_link();
+    late.lose_link();
+    while early.receive(Duration::from_millis(10)) != Ok(None) {}
+    let wire = last_wire();
+    put_error(&wire, 0x40, [0; 8]);
+    assert_eq!(early.receive(WAIT), Err(ReceiveError::Bus(BusState::BusOff)));
+    while late.link_lost {
+        let _ = late.receive(Duration::from_millis(10));
+    }
+    assert_eq!((early.state(), late.state()), (BusState::BusOff, BusState::BusOff));
+    // A loss of the link after it ends it: the interface was taken down and up.
+    early.lose_link();
+    while early.receive(Duration::from_millis(10)) != Ok(None) {}
+    assert_eq!((early.state(), late.state()), (BusState::ErrorActive, BusState::ErrorActive));
+}
+
 #[test]
 fn what_arrived_before_the_link_was_lost_is_delivered_first() {
     let (mut bus, wire) = bus(&BusSpec { restart: Restart::Never, ..spec(1) });
