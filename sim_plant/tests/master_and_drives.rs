@@ -139,7 +139,9 @@ fn a_safe_torque_beyond_the_rated_one_is_taken_and_held_within_the_limit(layout:
         let mut writer = b.master.take_writer().unwrap();
         b.cycle(&mut writer, &[2000]);
         assert_eq!(b.drive(0, 0).torque_permille(), 2000);
-        (0..1000).for_each(|_| drop(b.step()));
+        for _ in 0..1000 {
+            b.step();
+        }
         assert_eq!((b.drive(0, 0).torque_permille(), b.drive(0, 0).state()), (held, State::Fault));
     }
 }
@@ -204,7 +206,9 @@ fn a_device_fault_cuts_the_safe_torque_of_a_communication_fault_too(layout: Layo
         while !matches!(b.drive(0, 0).state(), State::FaultReactionActive | State::Fault) {
             b.step();
         }
-        (0..ms).for_each(|_| drop(b.step()));
+        for _ in 0..ms {
+            b.step();
+        }
         let now = b.now_ns;
         let state = if ms == 1 { State::FaultReactionActive } else { State::Fault };
         assert_eq!(b.drive(0, 0).state(), state);
