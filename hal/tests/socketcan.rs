@@ -242,6 +242,37 @@ fn an_interface_that_is_removed_and_made_again_comes_back() {
 }
 
 #[test]
+fn a_handle_that_only_sends_comes_back_with_the_one_that_receives_and_with_its_filters() {
+    let Some(interface) = Interface::make("sinew-hand") else { return };
+    let mut receiver = interface.bus();
+    let mut sender = receiver.duplicate().unwrap();
+    sender.set_filters(&[Filter { value: 0x7ff, mask: 0x7ff }]).unwrap();
+    let mut other = interface.bus();
+    for round in 0..3 {
+        assert_eq!(receiver.receive(QUIET), Ok(None));
+        interface.set_up(false);
+        assert_eq!(receiver.receive(WAIT), Err(ReceiveError::Bus(BusState::Down)));
+        assert_eq!(sender.send(&frame(1, &[])), Err(SendError::Bus(BusState::Down)));
+        interface.set_up(true);
+        // By itself it stays away, long after any interval of its own.
+        for _ in 0..4 {
+            std::thread::sleep(QUIET);
+            assert_eq!(sender.send(&frame(1, &[])), Err(SendError::Bus(BusState::Down)));
+        }
+        while receiver.receive(QUIET) != Ok(None) {}
+        while other.receive(QUIET) != Ok(None) {}
+        while sender.send(&frame(2, &[round])).is_err() {
+            assert_eq!(receiver.receive(QUIET), Ok(None));
+        }
+        assert_eq!(other.receive(WAIT).unwrap().unwrap().frame, frame(2, &[round]), "an old frame came out");
+        assert_eq!(receiver.receive(WAIT).unwrap().unwrap().frame, frame(2, &[round]));
+        other.send(&frame(3, &[])).unwrap();
+        assert_eq!(receiver.receive(WAIT).unwrap().unwrap().frame, frame(3, &[]));
+        assert_eq!(sender.counters().received, 0);
+    }
+}
+
+#[test]
 fn filters_are_the_kernels_so_what_they_keep_out_fills_no_buffer() {
     let Some(interface) = Interface::make("sinew-flt") else { return };
     let (mut a, mut b) = (interface.bus(), interface.bus());
