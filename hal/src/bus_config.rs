@@ -58,14 +58,18 @@ pub struct BusSpec {
     /// Frames that wait in this process while the kernel's transmit queue is full; 0 refuses at once. The virtual bus
     /// never makes a sender wait and has no use for it.
     pub queue_length: usize,
+    /// Most frames that one handle gives to the bus at once, in every cycle. An interface whose transmit queue is shorter is
+    /// refused: what does not fit would leave with the next cycle, or never. 0: not looked at. The virtual bus has no
+    /// such queue.
+    pub burst: usize,
     /// What to do when the bus is lost; the virtual bus comes back by itself.
     pub restart: Restart,
 }
 
 impl BusSpec {
-    /// A classic bus with a queue of 64 frames and the default restart.
+    /// A classic bus with a queue of 64 frames, bursts of any length and the default restart.
     pub fn new(kind: BusKind, name: impl Into<String>) -> Self {
-        Self { kind, name: name.into(), fd: false, queue_length: 64, restart: Restart::default() }
+        Self { kind, name: name.into(), fd: false, queue_length: 64, burst: 0, restart: Restart::default() }
     }
 }
 
@@ -111,6 +115,20 @@ pub enum OpenError {
         interface: String,
         /// MTU found (bytes).
         found: u32,
+    },
+    /// The interface's transmit queue cannot take what is sent in a cycle.
+    #[error(
+        "the transmit queue of CAN interface {interface} holds {found} frames, and {burst} are sent at once in every cycle: `ip link set {interface} txqueuelen {remedy}`"
+    )]
+    ShortQueue {
+        /// Interface wanted.
+        interface: String,
+        /// Frames that it holds.
+        found: usize,
+        /// Frames of a cycle.
+        burst: usize,
+        /// Length that has room to spare.
+        remedy: usize,
     },
     /// Not allowed.
     #[error("no permission for CAN interface {interface}: run with CAP_NET_RAW or as a user who may open CAN sockets")]

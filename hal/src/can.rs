@@ -273,6 +273,12 @@ pub trait CanBus: Send {
     /// [`SendError`]; the frame was then not taken.
     fn send(&mut self, frame: &Frame) -> Result<(), SendError>;
 
+    /// Hands frames that wait in this handle for room on to the bus, as far as it takes them, without blocking; how many
+    /// still wait. A handle without a queue of its own has none.
+    fn flush(&mut self) -> usize {
+        0
+    }
+
     /// Waits at most `timeout` for a frame; zero polls. `Ok(None)` when the time passed.
     ///
     /// Frames that arrived before the bus went down are delivered first. Then the first call reports the change at
@@ -311,6 +317,10 @@ pub trait CanBus: Send {
 impl<B: CanBus + ?Sized> CanBus for Box<B> {
     fn send(&mut self, frame: &Frame) -> Result<(), SendError> {
         (**self).send(frame)
+    }
+
+    fn flush(&mut self) -> usize {
+        (**self).flush()
     }
 
     fn receive(&mut self, timeout: std::time::Duration) -> Result<Option<Received>, ReceiveError> {

@@ -423,6 +423,10 @@ impl<B: CanBus> CanBus for FaultShim<B> {
         self.send_ready()
     }
 
+    fn flush(&mut self) -> usize {
+        self.bus.flush()
+    }
+
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, ReceiveError> {
         let deadline_ns =
             crate::clock::monotonic_ns().saturating_add(u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX));

@@ -13,6 +13,9 @@
 use std::f64::consts::TAU;
 use thiserror::Error;
 
+/// Counts of a 32-bit encoder from home to where they run over.
+const COUNTS_EITHER_WAY: f64 = 2_147_483_647.0;
+
 /// Which turn of the motor pulls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Sense {
@@ -53,6 +56,8 @@ pub struct MotorChannel {
     pub home_counts: i32,
     /// Length at those counts (m).
     pub home_length_m: f64,
+    /// Most by which the cable's length may ever differ from that (m), either way: what the encoder's 32 bits must count.
+    pub travel_m: f64,
 }
 
 /// A channel that cannot work.
@@ -69,6 +74,23 @@ pub enum ChannelError {
         value: f64,
         /// What it must be.
         range: &'static str,
+    },
+    /// The cable may travel further than the encoder's 32 bits count.
+    #[error(
+        "cable {cable}: counts_per_turn = {counts_per_turn}, must be 1 to {counts_per_turn_max:.0}: 32 bits of an encoder count \
+         {reach_m:.4} m of cable either way (gear_ratio, drum_radius_m), and it may travel {travel_m:.4} m"
+    )]
+    Reach {
+        /// Index of the cable.
+        cable: usize,
+        /// Encoder counts per motor turn.
+        counts_per_turn: f64,
+        /// Most with which the encoder reaches.
+        counts_per_turn_max: f64,
+        /// Length that the encoder counts from home, either way (m).
+        reach_m: f64,
+        /// Length that the cable may travel (m).
+        travel_m: f64,
     },
     /// The largest tension needs more torque than the wire or the drive has.
     #[error("cable {cable}: {tension_n} N need {permille} per mille of rated torque, the limit is {limit_permille}")]
@@ -181,6 +203,18 @@ impl MotorChannel {
         if !value.is_finite() {
             return Err(ChannelError::Value { cable, key: "home_length_m", value, range: "finite" });
         }
+        let travel_m = self.travel_m;
+        if !(travel_m.is_finite() && travel_m >= 0.0) {
+            let range = "finite and at least 0";
+            return Err(ChannelError::Value { cable, key: "travel_m", value: travel_m, range });
+        }
+        // Beyond it `decode_length` would take a run-over counter for a motion the other way.
+        let reach_m = COUNTS_EITHER_WAY * self.length_quantum_m();
+        if reach_m < travel_m {
+            let counts_per_turn = self.counts_per_turn;
+            let counts_per_turn_max = (counts_per_turn * reach_m / travel_m).floor();
+            return Err(ChannelError::Reach { cable, counts_per_turn, counts_per_turn_max, reach_m, travel_m });
+        }
         let permille = self.tension_n_max * self.permille_per_n();
         if permille.round() > f64::from(limit_permille.min(i16::MAX.unsigned_abs())) {
             return Err(ChannelError::Torque { cable, tension_n: self.tension_n_max, permille, limit_permille });
@@ -280,6 +314,7 @@ mod tests {
                         tension_n_max: 0.9 * gear_ratio * rated_torque_nm / drum_radius_m,
                         home_counts,
                         home_length_m,
+                        travel_m: 0.65,
                     }
                 },
             )
@@ -332,6 +367,7 @@ mod tests {
             tension_n_max: 220.0,
             home_counts: 10,
             home_length_m: 0.65,
+            travel_m: 0.65,
         }
     }
 
@@ -356,9 +392,34 @@ mod tests {
     }
 
     #[test]
+    fn an_encoder_that_runs_over_within_the_cables_travel_is_refused_with_the_counts_that_do_not() {
+        // 1e8 counts a turn behind a gear of 1000 on 20 mm: 2^31 counts are 2.7 mm.
+        let fine = MotorChannel { gear_ratio: 1000.0, counts_per_turn: 1e8, ..one() };
+        let Err(ChannelError::Reach { cable: 1, counts_per_turn_max, reach_m, travel_m, .. }) =
+            MotorBank::new(vec![(one(), 1000), (fine, 1000)])
+        else {
+            panic!("taken")
+        };
+        assert!((2.6e-3..2.8e-3).contains(&reach_m) && travel_m == 0.65);
+        let text = MotorBank::new(vec![(fine, 1000)]).unwrap_err().to_string();
+        assert!(text.contains(&format!("counts_per_turn = 100000000, must be 1 to {counts_per_turn_max}:")), "{text}");
+        // At the number named, both ends of the travel are read as they are; with one more they are not permitted.
+        let most = MotorChannel { counts_per_turn: counts_per_turn_max, home_counts: i32::MAX - 5, ..fine };
+        assert!(MotorBank::new(vec![(most, 1000)]).is_ok());
+        for length in [0.0, 0.65, 1.3] {
+            let counts = most.encode_length(length).unwrap();
+            assert!((most.decode_length(counts) - length).abs() <= most.length_quantum_m());
+        }
+        let more = MotorChannel { counts_per_turn: counts_per_turn_max + 1.0, ..most };
+        assert!(MotorBank::new(vec![(more, 1000)]).is_err());
+    }
+
+    #[test]
     fn a_tension_beyond_the_drive_is_refused_at_the_door() {
         let e = MotorBank::new(vec![(one(), 800)]).unwrap_err();
         assert!(matches!(e, ChannelError::Torque { cable: 0, limit_permille: 800, .. }), "{e}");
+        let bad = MotorChannel { travel_m: f64::NAN, ..one() };
+        assert!(MotorBank::new(vec![(bad, 1000)]).is_err());
         let bad = MotorChannel { drum_radius_m: 0.0, ..one() };
         assert!(MotorBank::new(vec![(bad, 1000)]).is_err());
     }

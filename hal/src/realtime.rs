@@ -227,15 +227,25 @@ fn last_error() -> i32 {
 /// Sets the calling thread's processor to treat denormal numbers (below 2.2e-308) as zero, in operands and results;
 /// false where that is not known. Filters that decay produce them, and they cost a hundred times a normal number's time.
 ///
-/// On x86_64 these are FTZ and DAZ of MXCSR, on aarch64 FZ of FPCR, which covers both. The compiler may still compute
-/// constants with denormals; nothing of ours depends on one.
+/// On x86_64 these are FTZ and DAZ of MXCSR, on aarch64 FZ of FPCR, which covers both.
+///
+/// **What the language says.** Rust assumes the default floating-point environment, and its reference for `_mm_setcsr` calls
+/// code that runs in another one undefined behaviour, by whatever means it was set; only floating-point operations inside
+/// the same assembly block would be free of it. No Rust program can have this mode and keep to that letter. It is set
+/// all the same, on the threads that ask for it and for their whole life, for what a tick may cost depends on it. What
+/// is relied on is narrower: the compiler takes rounding and exceptions to be the defaults, which this does not change,
+/// and may besides compute an operation itself, move it or leave it out as if denormals were kept. So wherever a number
+/// is below 2.2e-308 either outcome, it or zero, must be right, also within one expression; no index, no length, no
+/// branch of safety may depend on telling them apart. Ours do not: tolerances are many orders larger. The bits stay as
+/// they are until the thread ends, and no code in between is written for another mode.
 pub fn flush_denormals() -> bool {
     #[cfg(target_arch = "x86_64")]
     {
         const FTZ_AND_DAZ: u32 = 1 << 15 | 1 << 6;
         let mut mxcsr = 0_u32;
-        // SAFETY: stores MXCSR to, and loads it from, a live u32. Both bits exist on every x86_64 processor, and they
-        // change only the treatment of denormal numbers, not rounding or exceptions.
+        // SAFETY: stores MXCSR to, and loads it from, a live u32; both bits exist on every x86_64 processor, so nothing
+        // traps. That Rust code runs with them set is outside of what the language promises: see above for what is relied
+        // on instead.
         unsafe {
             std::arch::asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack, preserves_flags));
             mxcsr |= FTZ_AND_DAZ;
@@ -246,7 +256,8 @@ pub fn flush_denormals() -> bool {
     #[cfg(target_arch = "aarch64")]
     {
         let mut fpcr: u64;
-        // SAFETY: FPCR may be read and written at any privilege; bit 24 changes only the treatment of denormal numbers.
+        // SAFETY: FPCR may be read and written at any privilege, and bit 24 exists on every aarch64 processor. That Rust
+        // code runs with it set is outside of what the language promises: see above for what is relied on instead.
         unsafe {
             std::arch::asm!("mrs {}, fpcr", out(reg) fpcr, options(nomem, nostack, preserves_flags));
             fpcr |= 1 << 24;

@@ -9,10 +9,15 @@
 //!   must not come out of it later.
 //! - Error frames become [`BusState`] and counters, and never reach the caller as frames. The controller's state is
 //!   shared by a handle and its duplicates, so that one that only sends learns what one that receives was told.
-//! - A socket whose interface went down or vanished is replaced by a new one as [`Restart`] says.
+//! - A socket whose interface went down or vanished is replaced by a new one as [`Restart`] says. That takes the kernel's
+//!   network lock, and so does closing the old one: a handle that has never received leaves both to one of its
+//!   duplicates that has, and until that has been called, says that the bus is down (`berth`). Where none receives, it
+//!   does so itself.
 //!
 //! Must never: block longer than it is told, allocate after `open`, send what is older than the loss of the bus.
 
+mod berth;
+mod controller;
 mod socket;
 #[cfg(test)]
 mod tests;
@@ -20,55 +25,37 @@ mod wire;
 
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags};
 use socketcan::CanSocket;
 
-use crate::bus_config::{BusSpec, OpenError, Restart};
+use crate::bus_config::{BusKind, BusSpec, OpenError, Restart};
 use crate::can::{BusCounters, BusState, CanBus, Filter, Frame, Kind, ReceiveError, Received, SendError};
 use crate::clock::{Clock, Monotonic, monotonic_ns, realtime_ns, timespec};
+use berth::Berth;
+use controller::Controller;
 use socket::{FILTERS_MAX, InterfaceName, Refusal};
 pub use wire::ErrorReport;
 use wire::{Datagram, FD_LEN};
 
 /// How often a full transmit queue is tried again while a receive waits (ns); one frame of 1 Mbit/s takes 130 us.
 const RETRY_NS: u64 = 200_000;
+/// Time in which three clocks are read undisturbed (ns), and how often it is tried.
+const CLOCK_READ_NS: u64 = 10_000;
+const CLOCK_READS_MAX: u32 = 4;
+/// How often it is tried to help a handle that only sends (ns).
+const SERVE_NS: u64 = 5_000_000;
 /// Error frames taken in one poll, so that a storm of them does not hold the caller.
 const ERROR_FRAMES_MAX: u32 = 64;
 
+/// Frames that other handles send at the same time as a burst: a heartbeat, and one more.
+const OTHERS: usize = 2;
+/// Length that is advised for a transmit queue which is too short: enough for any cycle of one bus.
+const QUEUE_ADVISED: usize = 128;
+
 type OpenSocket = fn(InterfaceName, bool) -> Result<CanSocket, Refusal>;
-
-/// State of the controller, common to all handles of one `open`.
-#[derive(Default)]
-struct Controller {
-    /// A `BusState` without `Down`, which belongs to the link: 0 active .. 3 bus-off.
-    state: AtomicU32,
-    /// Transmit and receive error counter as last reported.
-    errors: AtomicU32,
-}
-
-impl Controller {
-    fn state(&self) -> BusState {
-        match self.state.load(Ordering::Acquire) {
-            0 => BusState::ErrorActive,
-            1 => BusState::ErrorWarning,
-            2 => BusState::ErrorPassive,
-            _ => BusState::BusOff,
-        }
-    }
-
-    fn set_state(&self, state: BusState) {
-        let word = match state {
-            BusState::ErrorActive | BusState::Down => 0,
-            BusState::ErrorWarning => 1,
-            BusState::ErrorPassive => 2,
-            BusState::BusOff => 3,
-        };
-        self.state.store(word, Ordering::Release);
-    }
-}
 
 /// A handle on a CAN interface.
 pub struct SocketCanBus {
@@ -81,13 +68,21 @@ pub struct SocketCanBus {
     /// replaces it.
     link_lost: bool,
     controller: Arc<Controller>,
-    filters: Vec<[u32; 2]>,
+    berth: Arc<Berth>,
+    /// It is one of the controller's receivers.
+    receives: bool,
     queue: Queue,
+    /// Times bus-off for which the queue was emptied.
+    bus_offs_seen: u32,
+    /// Times bus-off when the link was lost.
+    bus_offs_at_loss: u32,
     /// State that `receive` has reported.
     state_seen: BusState,
     /// Next attempt at recovery, and the interval after it (ns).
     retry_at_ns: u64,
     backoff_ns: u64,
+    /// Next attempt to help others (ns).
+    serve_at_ns: u64,
     /// The kernel's count of dropped frames at the last look.
     dropped: u32,
     counters: BusCounters,
@@ -101,10 +96,26 @@ impl SocketCanBus {
     pub fn open(spec: &BusSpec) -> Result<Self, OpenError> {
         let name = InterfaceName::new(&spec.name)?;
         let socket = socket::open(name, spec.fd).map_err(|r| r.into_error(name))?;
+        if spec.burst > 0 {
+            check_queue(name, socket::transmit_queue(&socket, name).map_err(|r| r.into_error(name))?, spec.burst)?;
+        }
         Ok(Self::with_socket(name, spec, socket, socket::open))
     }
 
     fn with_socket(name: InterfaceName, spec: &BusSpec, socket: CanSocket, open_socket: OpenSocket) -> Self {
+        let berth = Arc::new(Berth::new(&[], FILTERS_MAX));
+        Self::of_family(name, spec, socket, open_socket, Arc::default(), berth)
+    }
+
+    fn of_family(
+        name: InterfaceName,
+        spec: &BusSpec,
+        socket: CanSocket,
+        open_socket: OpenSocket,
+        controller: Arc<Controller>,
+        berth: Arc<Berth>,
+    ) -> Self {
+        controller.berths.add(&berth);
         Self {
             name,
             fd: spec.fd,
@@ -112,12 +123,16 @@ impl SocketCanBus {
             open_socket,
             socket,
             link_lost: false,
-            controller: Arc::default(),
-            filters: Vec::with_capacity(FILTERS_MAX),
+            berth,
+            receives: false,
             queue: Queue::new(spec.queue_length),
+            bus_offs_seen: controller.bus_offs.load(Ordering::Acquire),
+            bus_offs_at_loss: 0,
+            controller,
             state_seen: BusState::ErrorActive,
             retry_at_ns: 0,
             backoff_ns: 0,
+            serve_at_ns: 0,
             dropped: 0,
             counters: BusCounters::default(),
         }
@@ -137,6 +152,7 @@ impl SocketCanBus {
     /// The interface is down or gone: plans the first attempt to come back.
     fn lose_link(&mut self) {
         self.link_lost = true;
+        self.bus_offs_at_loss = self.controller.bus_offs.load(Ordering::Acquire);
         self.discard_queue();
         self.plan_first_attempt();
     }
@@ -157,33 +173,74 @@ impl SocketCanBus {
         }
     }
 
-    /// What is due on the way back from a lost bus, and what waits for the kernel. Does not block.
+    /// What is due on the way back from a lost bus, and what waits for the kernel. Does not block, unless this handle is one
+    /// that may.
     fn maintain(&mut self) {
+        self.notice_bus_off();
         if let Restart::Reopen { longest, cycle_interface, .. } = self.restart
             && !self.state().carries_frames()
-            && monotonic_ns() >= self.retry_at_ns
         {
-            self.backoff_ns = self.backoff_ns.saturating_mul(2).clamp(1, nanoseconds(longest).max(1));
-            self.retry_at_ns = monotonic_ns().saturating_add(self.backoff_ns);
-            // At bus-off the link is still there. If it may not be cycled, the kernel's own restart remains.
-            if self.link_lost || cycle_interface && socket::cycle(&self.socket, self.name).is_ok() {
-                self.reopen();
+            if !self.receives && self.controller.receivers.load(Ordering::Acquire) > 0 {
+                self.leave_to_a_receiver();
+            } else if monotonic_ns() >= self.retry_at_ns {
+                self.backoff_ns = self.backoff_ns.saturating_mul(2).clamp(1, nanoseconds(longest).max(1));
+                self.retry_at_ns = monotonic_ns().saturating_add(self.backoff_ns);
+                // At bus-off the link is still there. If it may not be cycled, the kernel's own restart remains.
+                if self.link_lost || cycle_interface && socket::cycle(&self.socket, self.name).is_ok() {
+                    self.reopen();
+                }
             }
         }
-        self.flush();
+        if self.state().carries_frames() {
+            self.empty_queue();
+        }
+    }
+
+    /// Asks for a new socket, or goes on with the one that is ready. The controller's state is the receiver's business.
+    fn leave_to_a_receiver(&mut self) {
+        if self.link_lost {
+            if self.berth.exchange(&mut self.socket) {
+                (self.link_lost, self.dropped) = (false, 0);
+            }
+            self.controller.asked.store(true, Ordering::Release);
+        }
+    }
+
+    /// Helps handles of the same bus that only send. Blocks for as long as the kernel's network lock is taken.
+    fn serve_senders(&mut self) {
+        if self.link_lost || monotonic_ns() < self.serve_at_ns || !self.controller.asked.swap(false, Ordering::AcqRel) {
+            return;
+        }
+        let open = |filters: &[[u32; 2]]| open_filtered(self.open_socket, self.name, self.fd, filters).ok();
+        if !self.controller.berths.serve(open) {
+            self.controller.asked.store(true, Ordering::Release);
+            self.serve_at_ns = monotonic_ns().saturating_add(SERVE_NS);
+        }
+    }
+
+    /// Another handle may have read the error frame, and this one had none of its own to read.
+    fn notice_bus_off(&mut self) {
+        let bus_offs = self.controller.bus_offs.load(Ordering::Acquire);
+        if bus_offs != self.bus_offs_seen {
+            self.bus_offs_seen = bus_offs;
+            self.discard_queue();
+            self.plan_first_attempt();
+        }
     }
 
     fn reopen(&mut self) {
-        let Ok(socket) = (self.open_socket)(self.name, self.fd) else { return };
-        if !self.filters.is_empty() && socket::set_filters(&socket, &self.filters).is_err() {
-            return;
+        let open = |filters: &mut Vec<_>| open_filtered(self.open_socket, self.name, self.fd, filters);
+        let Ok(socket) = self.berth.with_filters(open) else { return };
+        self.berth.forget();
+        // The controller has been started anew. A handle that is late must not hide what another has read since.
+        if !self.link_lost || self.controller.bus_offs.load(Ordering::Acquire) == self.bus_offs_at_loss {
+            self.controller.set_state(BusState::ErrorActive);
         }
-        self.controller.set_state(BusState::ErrorActive);
         (self.socket, self.link_lost, self.dropped) = (socket, false, 0);
     }
 
     /// Hands waiting frames to the kernel as far as it takes them.
-    fn flush(&mut self) {
+    fn empty_queue(&mut self) {
         while let Some(frame) = self.queue.front().copied() {
             match self.transmit(&frame) {
                 Ok(()) => self.queue.pop(),
@@ -233,8 +290,10 @@ impl SocketCanBus {
                     self.controller.set_state(BusState::ErrorActive);
                 }
                 self.counters.received = self.counters.received.saturating_add(1);
-                let now_ns = monotonic_ns();
-                let time_ns = arrival.stamp_real_ns.map_or(now_ns, |s| wire::to_monotonic(s, realtime_ns(), now_ns));
+                let time_ns = arrival.stamp_real_ns.map_or_else(monotonic_ns, |stamp_ns| {
+                    let (real_ns, now_ns) = both_clocks();
+                    wire::to_monotonic(stamp_ns, real_ns, now_ns)
+                });
                 Taken::Frame(Received { frame, time_ns })
             }
             Datagram::Error(report) => {
@@ -260,8 +319,8 @@ impl SocketCanBus {
             let before = self.controller.state();
             self.controller.set_state(state);
             if state == BusState::BusOff && before != BusState::BusOff {
-                self.discard_queue();
-                self.plan_first_attempt();
+                self.controller.bus_offs.fetch_add(1, Ordering::AcqRel);
+                self.notice_bus_off();
             }
         }
     }
@@ -281,6 +340,9 @@ impl SocketCanBus {
         }
         if !self.state().carries_frames() && self.restart != Restart::Never {
             until_ns = until_ns.min(self.retry_at_ns.max(now_ns + 1));
+        }
+        if !self.link_lost && self.controller.asked.load(Ordering::Acquire) {
+            until_ns = until_ns.min(self.serve_at_ns.max(now_ns + 1));
         }
         if self.link_lost {
             Monotonic.sleep_until(until_ns);
@@ -303,6 +365,38 @@ enum Taken {
     Again,
     Nothing,
     Failed(i32),
+}
+
+/// Whether the interface's transmit queue takes a burst while other handles send as well. Drivers make it ten frames long
+/// (`alloc_candev`), and what their hardware holds beside it is not known here.
+fn check_queue(name: InterfaceName, found: usize, burst: usize) -> Result<(), OpenError> {
+    let wanted = burst + OTHERS;
+    let remedy = wanted.next_power_of_two().max(QUEUE_ADVISED);
+    let interface = name.as_str();
+    if found < burst {
+        return Err(OpenError::ShortQueue { interface: interface.to_owned(), found, burst, remedy });
+    }
+    if found < wanted {
+        tracing::warn!(
+            "the transmit queue of CAN interface {interface} holds {found} frames, and {burst} are sent at once in every \
+             cycle, beside heartbeats: `ip link set {interface} txqueuelen {remedy}` makes room"
+        );
+    }
+    Ok(())
+}
+
+/// CLOCK_REALTIME and CLOCK_MONOTONIC at one instant. Who loses the processor between the two reads reads again: otherwise a
+/// SYNC would seem to be older than its cycle.
+fn both_clocks() -> (u64, u64) {
+    let mut pair = (0, 0);
+    for _ in 0..CLOCK_READS_MAX {
+        let before_ns = monotonic_ns();
+        pair = (realtime_ns(), monotonic_ns());
+        if pair.1.saturating_sub(before_ns) < CLOCK_READ_NS {
+            break;
+        }
+    }
+    pair
 }
 
 fn is_link_loss(e: i32) -> bool {
@@ -342,11 +436,21 @@ impl CanBus for SocketCanBus {
         Ok(())
     }
 
+    fn flush(&mut self) -> usize {
+        self.maintain();
+        self.queue.used
+    }
+
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, ReceiveError> {
         let deadline_ns = monotonic_ns().saturating_add(nanoseconds(timeout));
+        if !self.receives {
+            self.receives = true;
+            self.controller.receivers.fetch_add(1, Ordering::AcqRel);
+        }
         let mut others = 0;
         loop {
             self.maintain();
+            self.serve_senders();
             match self.take() {
                 Taken::Frame(received) => return Ok(Some(received)),
                 Taken::Failed(e) => return Err(ReceiveError::Os(e)),
@@ -386,14 +490,15 @@ impl CanBus for SocketCanBus {
         if filters.len() > FILTERS_MAX {
             return Err(ReceiveError::Os(libc::EINVAL));
         }
-        self.filters.clear();
         // The mask covers the mark of extended frames, so that no filter passes one; remote requests pass as data do.
-        self.filters.extend(
-            filters.iter().map(|f| [f.value & libc::CAN_SFF_MASK, f.mask & libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG]),
-        );
+        let of_kernel = |f: &Filter| [f.value & libc::CAN_SFF_MASK, f.mask & libc::CAN_SFF_MASK | libc::CAN_EFF_FLAG];
         let everything = [[0, 0]];
-        let wanted = if filters.is_empty() { &everything[..] } else { &self.filters };
-        match socket::set_filters(&self.socket, wanted) {
+        let set = self.berth.with_filters(|own| {
+            own.clear();
+            own.extend(filters.iter().map(of_kernel));
+            socket::set_filters(&self.socket, if own.is_empty() { &everything[..] } else { own })
+        });
+        match set {
             // Installed when the interface comes back.
             Err(_) if self.link_lost => Ok(()),
             result => result.map_err(|e| ReceiveError::Os(e.raw_os_error().unwrap_or(libc::EIO))),
@@ -401,29 +506,42 @@ impl CanBus for SocketCanBus {
     }
 
     fn duplicate(&self) -> io::Result<Box<dyn CanBus>> {
-        let socket = (self.open_socket)(self.name, self.fd).map_err(|r| io::Error::other(r.into_error(self.name)))?;
-        if !self.filters.is_empty() {
-            socket::set_filters(&socket, &self.filters)?;
-        }
-        let mut filters = Vec::with_capacity(FILTERS_MAX);
-        filters.extend_from_slice(&self.filters);
-        Ok(Box::new(Self {
-            name: self.name,
+        Ok(Box::new(self.another()?))
+    }
+}
+
+impl SocketCanBus {
+    fn another(&self) -> io::Result<Self> {
+        let (socket, berth) = self.berth.with_filters(|filters| {
+            let socket = open_filtered(self.open_socket, self.name, self.fd, filters)
+                .map_err(|r| io::Error::other(r.into_error(self.name)))?;
+            io::Result::Ok((socket, Arc::new(Berth::new(filters, FILTERS_MAX))))
+        })?;
+        let spec = BusSpec {
             fd: self.fd,
             restart: self.restart,
-            open_socket: self.open_socket,
-            socket,
-            link_lost: false,
-            controller: Arc::clone(&self.controller),
-            filters,
-            queue: Queue::new(self.queue.frames.len()),
-            state_seen: BusState::ErrorActive,
-            retry_at_ns: 0,
-            backoff_ns: 0,
-            dropped: 0,
-            counters: BusCounters::default(),
-        }))
+            queue_length: self.queue.frames.len(),
+            ..BusSpec::new(BusKind::Socketcan, self.name.as_str())
+        };
+        Ok(Self::of_family(self.name, &spec, socket, self.open_socket, Arc::clone(&self.controller), berth))
     }
+}
+
+impl Drop for SocketCanBus {
+    fn drop(&mut self) {
+        if self.receives {
+            self.controller.receivers.fetch_sub(1, Ordering::AcqRel);
+        }
+    }
+}
+
+/// A socket with these filters, or with none. Does not allocate.
+fn open_filtered(open: OpenSocket, name: InterfaceName, fd: bool, filters: &[[u32; 2]]) -> Result<CanSocket, Refusal> {
+    let socket = open(name, fd)?;
+    if !filters.is_empty() {
+        socket::set_filters(&socket, filters).map_err(|e| Refusal::from_io("CAN_RAW_FILTER", &e))?;
+    }
+    Ok(socket)
 }
 
 /// A bounded queue of frames, first in first out.

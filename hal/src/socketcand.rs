@@ -106,57 +106,83 @@ fn serve(stream: TcpStream, mut bus: Box<dyn CanBus>, stop: &AtomicBool) {
 }
 
 fn talk(mut stream: TcpStream, bus: &mut dyn CanBus, stop: &AtomicBool) -> io::Result<()> {
+    let gone = Arc::new(AtomicBool::new(false));
+    let mut forward = None;
+    let result = listen(&mut stream, bus, stop, &gone, &mut forward);
+    gone.store(true, Ordering::Release);
+    if let Some(t) = forward {
+        let _ = t.join(); // its panic was reported by itself
+    }
+    result
+}
+
+/// What the client says, until it leaves, the server ends or nothing can be written any more; the thread that forwards frames
+/// to it once it wants them.
+fn listen(
+    stream: &mut TcpStream,
+    bus: &mut dyn CanBus,
+    stop: &AtomicBool,
+    gone: &Arc<AtomicBool>,
+    forward: &mut Option<JoinHandle<()>>,
+) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(TICK))?;
-    stream.write_all(b"< hi >")?;
-    let gone = Arc::new(AtomicBool::new(false));
-    let mut forward: Option<JoinHandle<()>> = None;
+    stream.set_write_timeout(Some(TICK))?;
+    let ended = || stop.load(Ordering::Acquire) || gone.load(Ordering::Acquire);
+    write_all(stream, b"< hi >", ended)?;
     let own = Own::default();
     let mut text = Vec::new();
     let mut chunk = [0; 512];
-    let result = loop {
-        if stop.load(Ordering::Acquire) || gone.load(Ordering::Acquire) {
-            break Ok(());
-        }
+    while !ended() {
         let count = match stream.read(&mut chunk) {
-            Ok(0) => break Ok(()),
+            Ok(0) => return Ok(()),
             Ok(n) => n,
             Err(e) if matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => continue,
-            Err(e) => break Err(e),
+            Err(e) => return Err(e),
         };
         text.extend_from_slice(&chunk[..count]);
         while let Some(end) = text.iter().position(|&b| b == b'>') {
             let line: Vec<u8> = text.drain(..=end).collect();
             match parse(&line) {
-                Some(Line::Open) => stream.write_all(b"< ok >")?,
+                Some(Line::Open) => write_all(stream, b"< ok >", ended)?,
                 Some(Line::RawMode) => {
-                    stream.write_all(b"< ok >")?;
+                    write_all(stream, b"< ok >", ended)?;
                     if forward.is_none() {
                         let (out, handle, gone, own) =
                             (stream.try_clone()?, bus.duplicate()?, gone.clone(), own.clone());
-                        forward = Some(std::thread::spawn(move || forward_frames(out, handle, &gone, &own)));
+                        *forward = Some(std::thread::spawn(move || forward_frames(out, handle, &gone, &own)));
                     }
                 }
-                Some(Line::Echo) => stream.write_all(b"< echo >")?,
+                Some(Line::Echo) => write_all(stream, b"< echo >", ended)?,
                 Some(Line::Send(frame)) => {
                     if forward.is_some() {
                         own.expect(frame);
                     }
                     send(bus, &frame);
                 }
-                None => stream.write_all(b"< error unknown command >")?,
+                None => write_all(stream, b"< error unknown command >", ended)?,
             }
         }
         if text.len() > LINE_MAX {
-            break Err(io::Error::new(io::ErrorKind::InvalidData, "line too long"));
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "line too long"));
         }
-    };
-    gone.store(true, Ordering::Release);
-    if let Some(t) = forward {
-        let _ = t.join();
     }
-    result
+    Ok(())
+}
+
+/// Writes all of it, however slowly the client reads, unless the connection ends meanwhile. The stream has a write timeout.
+fn write_all(stream: &mut TcpStream, mut bytes: &[u8], ended: impl Fn() -> bool) -> io::Result<()> {
+    while !bytes.is_empty() {
+        match stream.write(bytes) {
+            Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+            Ok(n) => bytes = &bytes[n..],
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            Err(e) if matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) && !ended() => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(())
 }
 
 /// A full queue is waited for a little, as a socket would; then the frame is lost, as on a bus that is off.
@@ -183,7 +209,7 @@ fn forward_frames(mut out: TcpStream, mut bus: Box<dyn CanBus>, gone: &AtomicBoo
                     continue;
                 }
                 if let Some(line) = format_frame(&received.frame)
-                    && out.write_all(line.as_bytes()).is_err()
+                    && write_all(&mut out, line.as_bytes(), || gone.load(Ordering::Acquire)).is_err()
                 {
                     gone.store(true, Ordering::Release);
                 }
@@ -252,7 +278,9 @@ pub fn fuzz_parse(line: &[u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::can::{BusCounters, BusState, Filter, ReceiveError, Received};
     use proptest::prelude::*;
+    use std::sync::atomic::AtomicU64;
 
     #[test]
     fn lines_of_python_can_are_understood() {
@@ -264,6 +292,63 @@ mod tests {
         assert_eq!(parse(b"< send 00000601 1 ff >"), frame(Id::Extended(0x601), &[0xff]));
         assert_eq!(parse(b"< send 601 2 40 >"), None);
         assert_eq!(parse(b"< send 801 0 >"), None);
+    }
+
+    /// Frames without end, counted.
+    struct Endless(Arc<AtomicU64>);
+
+    impl CanBus for Endless {
+        fn send(&mut self, _: &Frame) -> Result<(), SendError> {
+            Ok(())
+        }
+        fn receive(&mut self, _: Duration) -> Result<Option<Received>, ReceiveError> {
+            self.0.fetch_add(1, Ordering::AcqRel);
+            Ok(Some(Received { frame: Frame::classic(Id::Standard(1), &[0; 8]).unwrap(), time_ns: 0 }))
+        }
+        fn state(&self) -> BusState {
+            BusState::ErrorActive
+        }
+        fn counters(&self) -> BusCounters {
+            BusCounters::default()
+        }
+        fn set_filters(&mut self, _: &[Filter]) -> Result<(), ReceiveError> {
+            Ok(())
+        }
+        fn duplicate(&self) -> io::Result<Box<dyn CanBus>> {
+            Ok(Box::new(Self(self.0.clone())))
+        }
+    }
+
+    #[test]
+    fn the_server_ends_although_a_client_does_not_read_and_a_slow_one_gets_all() {
+        let taken = Arc::new(AtomicU64::new(0));
+        let server = Server::start("127.0.0.1:0", Box::new(Endless(taken.clone()))).unwrap();
+        let mut client = TcpStream::connect(server.address()).unwrap();
+        client.write_all(b"< open any >< rawmode >").unwrap();
+        // Until nothing more goes into the socket.
+        let stands = || {
+            let before = taken.load(Ordering::Acquire);
+            std::thread::sleep(4 * TICK);
+            before > 0 && taken.load(Ordering::Acquire) == before
+        };
+        while !stands() {}
+        // It reads again: every line is whole, what could not be written for a while too.
+        let mut text = vec![0; 1 << 20];
+        client.read_exact(&mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        let lines: Vec<&str> = text.trim_start_matches("< hi >< ok >< ok >").split_inclusive('>').collect();
+        assert!(lines.len() > 1000);
+        for line in &lines[..lines.len() - 1] {
+            assert!(line.starts_with("< frame 001 ") && line.ends_with(" 0000000000000000 >"), "{line}");
+        }
+        while !stands() {}
+        let (tell, told) = std::sync::mpsc::channel();
+        let ending = std::thread::spawn(move || {
+            drop(server);
+            tell.send(()).unwrap();
+        });
+        told.recv_timeout(Duration::from_secs(60)).expect("the server waits for a client that does not read");
+        ending.join().unwrap();
     }
 
     proptest! {

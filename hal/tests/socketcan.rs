@@ -205,6 +205,24 @@ fn frames_wait_in_order_for_a_full_transmit_queue_and_are_refused_when_the_own_q
 }
 
 #[test]
+fn an_interface_whose_transmit_queue_is_shorter_than_a_cycle_is_refused_until_it_is_longer() {
+    let Some(interface) = Interface::make("sinew-short") else { return };
+    let lengthen = |frames: &str| assert!(ip(&["link", "set", &interface.0, "txqueuelen", frames]));
+    let spec = BusSpec { burst: 25, ..interface.spec() };
+    // What drivers of real controllers set.
+    lengthen("10");
+    let refused = open(&spec).map(drop).unwrap_err();
+    assert!(matches!(refused, OpenError::ShortQueue { found: 10, burst: 25, .. }), "{refused}");
+    let text = refused.to_string();
+    let command = text.split('`').nth(1).unwrap().strip_prefix("ip ").unwrap();
+    assert!(ip(&command.split(' ').collect::<Vec<_>>()), "{command}");
+    drop(open(&spec).unwrap());
+    lengthen("10");
+    drop(open(&BusSpec { burst: 7, ..interface.spec() }).unwrap());
+    drop(open(&interface.spec()).unwrap());
+}
+
+#[test]
 fn an_interface_that_is_removed_and_made_again_comes_back() {
     let Some(interface) = Interface::make("sinew-gone") else { return };
     let (mut a, mut b) = (interface.bus(), interface.bus());
@@ -221,6 +239,37 @@ fn an_interface_that_is_removed_and_made_again_comes_back() {
     assert_eq!(b.receive(WAIT).unwrap().unwrap().frame, frame(0x123, &[1]));
     a.send(&frame(0x124, &[])).unwrap();
     assert_eq!(b.receive(QUIET), Ok(None), "the filters were lost with the interface");
+}
+
+#[test]
+fn a_handle_that_only_sends_comes_back_with_the_one_that_receives_and_with_its_filters() {
+    let Some(interface) = Interface::make("sinew-hand") else { return };
+    let mut receiver = interface.bus();
+    let mut sender = receiver.duplicate().unwrap();
+    sender.set_filters(&[Filter { value: 0x7ff, mask: 0x7ff }]).unwrap();
+    let mut other = interface.bus();
+    for round in 0..3 {
+        assert_eq!(receiver.receive(QUIET), Ok(None));
+        interface.set_up(false);
+        assert_eq!(receiver.receive(WAIT), Err(ReceiveError::Bus(BusState::Down)));
+        assert_eq!(sender.send(&frame(1, &[])), Err(SendError::Bus(BusState::Down)));
+        interface.set_up(true);
+        // By itself it stays away, long after any interval of its own.
+        for _ in 0..4 {
+            std::thread::sleep(QUIET);
+            assert_eq!(sender.send(&frame(1, &[])), Err(SendError::Bus(BusState::Down)));
+        }
+        while receiver.receive(QUIET) != Ok(None) {}
+        while other.receive(QUIET) != Ok(None) {}
+        while sender.send(&frame(2, &[round])).is_err() {
+            assert_eq!(receiver.receive(QUIET), Ok(None));
+        }
+        assert_eq!(other.receive(WAIT).unwrap().unwrap().frame, frame(2, &[round]), "an old frame came out");
+        assert_eq!(receiver.receive(WAIT).unwrap().unwrap().frame, frame(2, &[round]));
+        other.send(&frame(3, &[])).unwrap();
+        assert_eq!(receiver.receive(WAIT).unwrap().unwrap().frame, frame(3, &[]));
+        assert_eq!(sender.counters().received, 0);
+    }
 }
 
 #[test]

@@ -124,6 +124,8 @@ pub fn channels(config: &Config) -> Result<MotorBank, ChannelError> {
                     tension_n_max: config.arm.tension_n_max,
                     home_counts: 0,
                     home_length_m,
+                    // From all of it pulled in to as much again paid out.
+                    travel_m: home_length_m,
                 };
                 // The configuration limits it to ten times the rated torque.
                 (channel, (1000.0 * drive.torque_nm_max / drive.rated_torque_nm).round() as u16)

@@ -200,8 +200,19 @@ impl Truth {
     /// Advances by `dt_s` under the commanded tensions `u` (N), in steps of at most the configured one, and measures.
     ///
     /// # Errors
-    /// The integration failed; the arm stays where it was.
+    /// The integration failed; the arm and what the encoders show stay as they were before the call, also if only a later
+    /// one of its steps failed. The command counts as given.
     pub fn step(&mut self, u: &[f64], dt_s: f64) -> Result<(), StepError> {
+        let before = (self.state.clone(), self.direction.clone());
+        let stepped = self.integrate(u, dt_s);
+        match stepped {
+            Ok(()) => self.measure(),
+            Err(_) => (self.state, self.direction) = before,
+        }
+        stepped
+    }
+
+    fn integrate(&mut self, u: &[f64], dt_s: f64) -> Result<(), StepError> {
         self.commands.push_back(u.to_vec());
         if let Some(command) = self.commands.pop_front() {
             self.applied.copy_from_slice(&command);
@@ -225,7 +236,6 @@ impl Truth {
             }
             std::mem::swap(&mut self.state, &mut self.next);
         }
-        self.measure();
         Ok(())
     }
 
@@ -448,6 +458,26 @@ mod tests {
             let moved = truth.state().q.iter().zip(&straight).any(|(a, b)| (a - b).abs() > 1e-9);
             assert_eq!(moved, tick == 2, "tick {tick}");
         }
+    }
+
+    #[test]
+    fn a_step_that_fails_on_its_way_leaves_the_arm_where_it_was() {
+        let mut settings = TruthSettings::study(1);
+        settings.capstan_friction = 0.1;
+        let mut truth = Truth::new(&ArmConfig::paper(), &settings);
+        (0..5).for_each(|_| truth.step(&pull(), 0.01).unwrap());
+        // Tensions that the integrator survives for its first step of 5 ms and not for twenty.
+        let (sound, mad) = (truth.clone(), |factor: f64| pull().iter().map(|u| factor * u).collect::<Vec<f64>>());
+        let fails_later = |factor: &f64| {
+            let once = sound.clone().step(&mad(*factor), 0.005).is_ok();
+            once && sound.clone().step(&mad(*factor), 0.1).is_err()
+        };
+        let factor = (0..40).map(|n| 1.5_f64.powi(n)).find(fails_later).expect("no such tension");
+        truth.step(&mad(factor), 0.1).unwrap_err();
+        assert_eq!(truth.state(), sound.state());
+        assert_eq!((truth.lengths(), truth.true_lengths()), (sound.lengths(), sound.true_lengths()));
+        assert_eq!(truth.direction, sound.direction);
+        truth.step(&pull(), 0.01).unwrap();
     }
 
     #[test]

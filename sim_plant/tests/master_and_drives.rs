@@ -4,18 +4,23 @@
 
 mod bench;
 
-use bench::{Bench, MS, configure, node, transfer};
+use bench::{Bench, MS, MemoryBus, configure, node, transfer};
 use proptest::prelude::*;
-use sim_plant::drive::objects::{PRODUCT, dictionary};
+use sim_plant::drive::objects::{LABEL, PRODUCT, dictionary};
 use sim_plant::drive::{Drive, DriveBank, Nameplate};
-use sinew_hal::can::{Frame, Id, Kind, Received};
+use sinew_hal::can::{CanBus, Frame, Id, Kind, Received};
 use sinew_hal::canopen::emcy::{code, register};
+use sinew_hal::canopen::sdo::{Request, Response, Start};
 use sinew_hal::canopen::sdo_client::{Outcome, SdoError};
 use sinew_hal::canopen::{AbortCode, NmtCommand, NmtState};
 use sinew_hal::cia402::layout::packed_frame;
 use sinew_hal::cia402::objects as o;
+use sinew_hal::cia402::script::{Advance, Runner};
 use sinew_hal::cia402::state::Command;
-use sinew_hal::cia402::{DriveMask, Event, Fault, Goal, Layout, ObjectWrite, Order, Phase, State};
+use sinew_hal::cia402::{
+    DriveMask, DriveSetup, Event, Fault, Goal, Layout, Master, MasterConfig, ObjectWrite, Order, Phase, State,
+};
+use std::time::Duration;
 
 fn twenty_four_drives_on_four_buses_go_from_power_up_to_torque_and_back(layout: Layout) {
     let mut b = Bench::new(layout, 4, 6, |_| {});
@@ -123,6 +128,24 @@ fn a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched(lay
     }
 }
 
+fn a_safe_torque_beyond_the_rated_one_is_taken_and_held_within_the_limit(layout: Layout) {
+    // A motor may give several times its rated torque for a while, and a safe tension may need it.
+    for (safe, held) in [(1500, 1500), (-10_000, -3000)] {
+        let mut b = Bench::new(layout, 1, 1, |c| {
+            c.drives[0].torque_permille_max = 3000;
+            c.drives[0].writes = ObjectWrite::sinew_guard(30_000, safe).to_vec();
+        });
+        b.enable();
+        let mut writer = b.master.take_writer().unwrap();
+        b.cycle(&mut writer, &[2000]);
+        assert_eq!(b.drive(0, 0).torque_permille(), 2000);
+        for _ in 0..1000 {
+            b.step();
+        }
+        assert_eq!((b.drive(0, 0).torque_permille(), b.drive(0, 0).state()), (held, State::Fault));
+    }
+}
+
 fn a_missing_sync_is_a_fault_within_its_timeout(layout: Layout) {
     let mut b = Bench::new(layout, 1, 1, |_| {});
     b.enable();
@@ -173,6 +196,34 @@ fn a_device_fault_is_reported_and_the_drive_is_not_driven_back(layout: Layout) {
     assert_eq!(b.drive(0, 1).dictionary().int(o::ERROR_FIELD, 1), i64::from(code::OVER_CURRENT));
 }
 
+fn a_device_fault_cuts_the_safe_torque_of_a_communication_fault_too(layout: Layout) {
+    // In the reaction, on the slope from 500 to 400 per mille, and when that has ended.
+    for ms in [1, 100] {
+        let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(30_000, 400).to_vec());
+        b.enable();
+        let mut writer = b.master.take_writer().unwrap();
+        b.cycle(&mut writer, &[500]);
+        while !matches!(b.drive(0, 0).state(), State::FaultReactionActive | State::Fault) {
+            b.step();
+        }
+        for _ in 0..ms {
+            b.step();
+        }
+        let now = b.now_ns;
+        let state = if ms == 1 { State::FaultReactionActive } else { State::Fault };
+        assert_eq!(b.drive(0, 0).state(), state);
+        assert!(b.drive(0, 0).torque_permille() >= 400);
+        b.drive(0, 0).trip(code::OVER_CURRENT, register::CURRENT, now);
+        for _ in 0..50 {
+            assert_eq!((b.drive(0, 0).torque_permille(), b.drive(0, 0).state()), (0, State::Fault));
+            b.step();
+        }
+        let first = b.drive(0, 0).dictionary().int(o::ERROR_CODE, 0);
+        assert_eq!(first, i64::from(code::SYNC_TIMEOUT), "the first cause stays");
+        assert_eq!(b.drive(0, 0).dictionary().int(o::ERROR_FIELD, 1), i64::from(code::OVER_CURRENT));
+    }
+}
+
 fn what_is_wrong_at_start_is_named(layout: Layout) {
     // A node that is not there.
     let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].node = node(9));
@@ -191,7 +242,7 @@ fn what_is_wrong_at_start_is_named(layout: Layout) {
     assert!(matches!(b.master.take_faults()[0].fault, Fault::Value { index: 0x6076, expected: 4000, found: 5000, .. }));
     // A value that the drive refuses, and an object that it has not.
     for (index, sub, abort) in [(o::GUARD, 2, AbortCode::VALUE_HIGH), (0x2fff, 0, AbortCode::NO_OBJECT)] {
-        let data = 2000i16.to_le_bytes().to_vec();
+        let data = 20_000i16.to_le_bytes().to_vec();
         let write = ObjectWrite { index, sub, data, optional: false };
         let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = vec![write]);
         b.run_until(1000, |p| p.failed == 1);
@@ -259,6 +310,64 @@ fn frames_that_a_bus_does_not_take_are_counted_and_its_drives_keep_their_torques
 }
 
 #[test]
+fn a_bus_that_takes_nothing_for_long_is_not_flooded_when_it_does_again() {
+    let (wire, drives) = (MemoryBus::default(), 24u8);
+    let mut listener = wire.handle();
+    let setups = (1..=drives).map(|n| DriveSetup::new(0, node(n))).collect();
+    let mut master = Master::new(MasterConfig::new(setups, node(127), 10_000), vec![Box::new(wire)]).unwrap();
+    // The cable is off, for a minute; whoever waits for the drives starts over and over.
+    listener.refuse(Some(|_| true));
+    for ms in 0..60_000 {
+        if ms % 500 == 0 {
+            master.start(ms * MS);
+        }
+        master.poll(ms * MS);
+    }
+    assert_eq!(listener.waiting(), 0);
+    assert_eq!(master.given_up(0), 119 * 25, "all of the starts before");
+    listener.refuse(None);
+    master.poll(60_000 * MS);
+    let mut found = Vec::new();
+    while let Ok(Some(received)) = listener.receive(Duration::ZERO) {
+        found.push(received.frame);
+    }
+    let reset = |n| NmtCommand::ResetNode.encode(Some(node(n)));
+    let mut expected: Vec<_> = (1..=drives).map(reset).collect();
+    expected.insert(0, NmtState::Operational.heartbeat(node(127)));
+    assert_eq!(found, expected, "one start's frames and one heartbeat");
+}
+
+#[test]
+fn what_waits_for_a_bus_is_bounded_and_the_oldest_goes_first() {
+    let (wire, drives) = (MemoryBus::default(), 126u8);
+    let mut listener = wire.handle();
+    let setups = (1..=drives).map(|n| DriveSetup::new(0, node(n))).collect();
+    let mut master = Master::new(MasterConfig::new(setups, node(127), 10_000), vec![Box::new(wire)]).unwrap();
+    listener.refuse(Some(|_| true));
+    master.start(0);
+    // All are heard and none hears: three attempts to read the first object, and an abort after each.
+    for n in 1..=drives {
+        let received = Received { frame: NmtState::BootUp.heartbeat(node(n)), time_ns: 0 };
+        master.poll(0);
+        master.on_frame(0, &received, 0);
+    }
+    let progress = (0..2000).map(|ms| master.poll(ms * MS)).last().unwrap();
+    assert_eq!(progress.failed, usize::from(drives));
+    let made = u64::from(drives) * (1 + 6);
+    listener.refuse(None);
+    master.poll(2000 * MS);
+    let mut found = Vec::new();
+    while let Ok(Some(received)) = listener.receive(Duration::ZERO) {
+        found.push(received.frame);
+    }
+    assert!(found.len() <= 513 && master.given_up(0) + 513 >= made, "{} of {made}", found.len());
+    // The resets of the beginning are gone, the last aborts are there.
+    assert!(found.iter().all(|f| f.id() != Id::Standard(0)));
+    let aborts = found.iter().rev().take(usize::from(drives)).filter(|f| f.data()[0] == 0x80).count();
+    assert!(aborts + 1 >= usize::from(drives), "{aborts}");
+}
+
+#[test]
 fn mapping_is_changed_only_in_the_prescribed_order() {
     let mut d = Drive::new(node(1), Nameplate::default(), 0);
     let aborted = |c| Outcome::Failed(SdoError::Aborted(c));
@@ -315,6 +424,55 @@ fn every_pair_of_state_and_command_does_what_the_standard_says() {
     assert_eq!(d.state(), State::SwitchOnDisabled);
 }
 
+/// One exchange with a drive's SDO server.
+fn ask(d: &mut Drive, request: [u8; 8]) -> [u8; 8] {
+    d.on_frame(&Frame::classic(Id::Standard(0x601), &request).unwrap(), 0);
+    std::iter::from_fn(|| d.pop()).find(|f| f.id() == Id::Standard(0x581)).unwrap().data().try_into().unwrap()
+}
+
+#[test]
+fn a_drive_that_does_not_say_how_long_its_short_answers_are_is_configured_all_the_same() {
+    let mut d = Drive::new(node(1), Nameplate::default(), 0);
+    let mut drive = DriveSetup::new(0, node(1));
+    drive.writes = ObjectWrite::sinew_guard(30_000, -7).to_vec();
+    let mut runner = Runner::new(&MasterConfig::new(vec![drive], node(127), 10_000), 0);
+    let mut next = runner.start(0);
+    let mut unsized_answers = 0;
+    while let Advance::Send(request) = next {
+        let mut answer = ask(&mut d, request);
+        if answer[0] & 0xe3 == 0x43 {
+            // e = 1, s = 0: what stands behind the value means nothing.
+            let len = 4 - usize::from(answer[0] >> 2 & 3);
+            answer[0] = 0x42;
+            answer[4 + len..].fill(0xa5);
+            unsized_answers += usize::from(len < 4);
+        }
+        next = runner.on_response(&answer, 0);
+    }
+    assert_eq!(next, Advance::Done);
+    assert!(unsized_answers > 10, "{unsized_answers}");
+    assert_eq!(d.dictionary().int(o::GUARD, 2), -7);
+}
+
+#[test]
+fn a_short_write_without_its_size_is_as_long_as_its_object() {
+    let mut d = Drive::new(node(1), Nameplate::default(), 0);
+    for (index, sub, data, value) in [
+        (o::MODE, 0, [10, 0xa5, 0xa5, 0xa5], 10),
+        (o::GUARD, 2, [0xf9, 0xff, 0xa5, 0xa5], -7),
+        (o::GUARD, 1, [0x30, 0x75, 0, 0], 30_000),
+    ] {
+        let request = Request::Download { index, sub, start: Start::Expedited(None, data) }.encode();
+        assert_eq!(request[0], 0x22, "e = 1, s = 0");
+        assert_eq!(ask(&mut d, request), Response::Download { index, sub }.encode());
+        assert_eq!(d.dictionary().int(index, sub), value);
+    }
+    // A string has no length of its own: what is there is it.
+    let start = Start::Expedited(None, *b"arm1");
+    ask(&mut d, Request::Download { index: LABEL, sub: 0, start }.encode());
+    assert_eq!(transfer(&mut d, LABEL, 0, None), Outcome::Done(b"arm1".to_vec()));
+}
+
 #[test]
 fn long_strings_travel_in_segments_both_ways() {
     let mut d = Drive::new(node(1), Nameplate::default(), 0);
@@ -340,9 +498,11 @@ with_both_layouts! {
     torque_beyond_the_limit_is_cut_and_reported_by_both_sides
     ordered_disabling_takes_one_drive_after_the_other
     a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched
+    a_safe_torque_beyond_the_rated_one_is_taken_and_held_within_the_limit
     a_missing_sync_is_a_fault_within_its_timeout
     quick_stop_brakes_along_the_slope
     a_device_fault_is_reported_and_the_drive_is_not_driven_back
+    a_device_fault_cuts_the_safe_torque_of_a_communication_fault_too
     what_is_wrong_at_start_is_named
     a_drive_that_restarts_or_falls_silent_is_a_fault
     a_lost_answer_is_named_in_the_next_cycle

@@ -15,7 +15,7 @@ use sinew_hal::canopen::NmtState;
 use sinew_hal::canopen::emcy::code;
 use sinew_hal::canopen::sdo_client::SdoError;
 use sinew_hal::cia402::{
-    CycleWriter, DriveSetup, Fault, Goal, Layout, Master, MasterConfig, ObjectWrite, Phase, Progress, State,
+    CycleWriter, DriveSetup, Fault, Goal, Layout, Master, MasterConfig, ObjectWrite, Order, Phase, Progress, State,
 };
 use sinew_hal::clock::Lockstep;
 use sinew_hal::fault_shim::FaultShim;
@@ -39,10 +39,10 @@ struct Bench {
 
 impl Bench {
     fn new(wire: &[&str], seed: u64) -> Self {
-        Self::with_layout(Layout::Classic, wire, seed)
+        Self::adjusted(|_| {}, wire, seed)
     }
 
-    fn with_layout(layout: Layout, wire: &[&str], seed: u64) -> Self {
+    fn adjusted(adjust: impl FnOnce(&mut MasterConfig), wire: &[&str], seed: u64) -> Self {
         let setup = |n: &u8| {
             let mut d = DriveSetup::new(0, node(*n));
             d.writes = ObjectWrite::sinew_guard(SYNC_TIMEOUT_US, 0).to_vec();
@@ -52,7 +52,7 @@ impl Bench {
         config.heartbeat_timeout_ms = HEARTBEAT_TIMEOUT_MS;
         config.drive_heartbeat_timeout_ms = HEARTBEAT_TIMEOUT_MS;
         config.rpdo_timeout_ms = (SYNC_TIMEOUT_US / 1000) as u16;
-        config.layouts = vec![layout];
+        adjust(&mut config);
         let bus = MemoryBus::default();
         let clock = Arc::new(Lockstep::new(0));
         let bank = DriveBank::new(NODES.iter().map(|n| Drive::new(node(*n), Nameplate::default(), 0)).collect());
@@ -114,7 +114,11 @@ impl Bench {
     }
 
     fn enabled_with(layout: Layout, wire_later: &[&str]) -> (Self, CycleWriter) {
-        let mut b = Self::with_layout(layout, &[], 1);
+        Self::enabled_as(|c| c.layouts = vec![layout], wire_later)
+    }
+
+    fn enabled_as(adjust: impl FnOnce(&mut MasterConfig), wire_later: &[&str]) -> (Self, CycleWriter) {
+        let mut b = Self::adjusted(adjust, &[], 1);
         b.until("operational", 3000, |p| p.at_goal);
         b.master.set_goal(Goal::Enabled, b.now_ns);
         b.until("enabled", 1000, |p| p.at_goal);
@@ -248,6 +252,62 @@ fn a_lost_torque_is_replaced_by_the_next() {
     writer.write_cycle(&[700; 3]);
     b.serve();
     assert_eq!(b.torques(), [700; 3]);
+}
+
+// ---- switching off ----
+
+/// Milliseconds from the wish until each drive is off, the last one first, with these faults on the wire since long ago.
+fn off_after_ms(wire: &[&str]) -> ([Option<u64>; 3], Bench, CycleWriter) {
+    let in_order = |c: &mut MasterConfig| c.order_of_disabling = Order::OneByOneReversed;
+    let (mut b, mut writer) = Bench::enabled_as(in_order, wire);
+    // Until whoever is not heard is known not to be.
+    (0..30).for_each(|_| b.cycle(&mut writer));
+    b.master.set_goal(Goal::Disabled, b.now_ns);
+    let begun_ns = b.now_ns;
+    let mut off = [None; 3];
+    for _ in 0..200 {
+        writer.write_cycle(&[500; 3]);
+        b.serve();
+        for _ in 0..PERIOD_MS {
+            b.step();
+            for (off, drive) in off.iter_mut().zip(b.bank.drives()) {
+                if off.is_none() && drive.state() == State::SwitchOnDisabled {
+                    *off = Some((b.now_ns - begun_ns) / MS);
+                }
+            }
+        }
+    }
+    (off, b, writer)
+}
+
+#[test]
+fn dead_drives_do_not_hold_up_the_disabling_of_the_others() {
+    let (all, ..) = off_after_ms(&[]);
+    let step = all[1].unwrap() - all[2].unwrap();
+    assert!(step >= PERIOD_MS && all[0].unwrap() == all[1].unwrap() + step, "one after the other: {all:?}");
+    // The last two are dead; the first is off as soon as the last would have been, and not seconds later.
+    let (off, mut b, _) = off_after_ms(&["drop:all.2", "drop:all.3"]);
+    assert_eq!(off[0], all[2]);
+    // Each dead one is named with the time, all the same.
+    let faults = b.master.take_faults();
+    for drive in [1, 2] {
+        let lost = |f: &Fault| matches!(f, Fault::HeartbeatLost { .. });
+        let stays = |f: &Fault| matches!(f, Fault::Transition { found: State::OperationEnabled, .. });
+        assert!(faults.iter().any(|f| f.drive == drive && lost(&f.fault)), "{faults:?}");
+        assert!(faults.iter().any(|f| f.drive == drive && stays(&f.fault)), "{faults:?}");
+    }
+}
+
+#[test]
+fn drives_without_feedback_lose_their_power_and_hold_nobody_up() {
+    let (all, ..) = off_after_ms(&[]);
+    let (off, b, _) = off_after_ms(&["drop:tpdo.2", "drop:tpdo.3"]);
+    assert_eq!(off[0], all[2]);
+    // Torque is off at once; that a transition does not show is known after its time, and then the power goes too.
+    let timeout_ms = u64::from(b.master.config().transition_timeout_ms);
+    for off in [off[1].unwrap(), off[2].unwrap()] {
+        assert!((timeout_ms..timeout_ms + 3 * PERIOD_MS).contains(&off), "{off}");
+    }
 }
 
 // ---- SDO at the start ----

@@ -415,7 +415,6 @@ type Handles = Vec<Box<dyn CanBus>>;
 /// Two handles of every bus: the master's, which only sends, and the bus thread's.
 fn bus_handles(config: &Config) -> Result<(Handles, Handles), DaemonError> {
     let listeners = setup::open_buses(config)?;
-    setup::short_queues(config, setup::queue_length).iter().for_each(|short| tracing::warn!("{short}"));
     let mut masters = Vec::with_capacity(listeners.len());
     for (bus, settings) in listeners.iter().zip(&config.drives.buses) {
         let duplicate = |source| DaemonError::Duplicate { name: settings.name.clone(), source };

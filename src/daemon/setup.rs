@@ -1,7 +1,7 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusKind, BusLayout, Config, DriveConfig};
+use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig};
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
@@ -47,9 +47,8 @@ pub fn bus_loads(config: &Config) -> Vec<BusLoad> {
         .iter()
         .enumerate()
         .map(|(index, bus)| {
-            let count = drives.drives.iter().filter(|drive| drive.bus == index).count();
             let rates = BitRates { nominal: bus.bitrate_bps, data: bus.data_bitrate_bps };
-            let load = layout(bus.layout).load(rates, count, drives.heartbeat_s);
+            let load = layout(bus.layout).load(rates, drives_on(config, index), drives.heartbeat_s);
             BusLoad {
                 name: bus.name.clone(),
                 share: load.share(1.0 / config.timing.period_s),
@@ -87,6 +86,8 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
             tension_n_max: config.arm.tension_n_max,
             home_counts: 0,
             home_length_m: length,
+            // From all of it pulled in to as much again paid out.
+            travel_m: length,
         };
         (channel, torque_permille_max(drive))
     };
@@ -154,53 +155,31 @@ fn milliseconds(seconds: f64) -> u16 {
 /// Opens every bus.
 ///
 /// # Errors
-/// The first that does not open, with its reason.
+/// The first that does not open, with its reason; an interface whose transmit queue is shorter than a cycle does not.
 pub fn open_buses(config: &Config) -> Result<Vec<Box<dyn CanBus>>, DaemonError> {
-    let open = |bus: &crate::config::BusConfig| {
-        let kind = match bus.kind {
-            BusKind::Virtual => bus_config::BusKind::Virtual,
-            BusKind::Socketcan => bus_config::BusKind::Socketcan,
-        };
-        let mut spec = BusSpec::new(kind, bus.interface.clone());
-        spec.fd = bus.fd;
-        // A cycle of a full bus, or what the master has to say to so many drives at once. What is left of a cycle when the
-        // next one begins is dropped by whoever sends them.
-        spec.queue_length = 256;
-        bus_config::open(&spec).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
+    let open = |(index, bus): (usize, &BusConfig)| {
+        bus_config::open(&bus_spec(config, index)).map_err(|source| DaemonError::Bus { name: bus.name.clone(), source })
     };
-    config.drives.buses.iter().map(open).collect()
+    config.drives.buses.iter().enumerate().map(open).collect()
 }
 
-/// Frames that a cycle has on each bus: the torques, and SYNC.
-fn cycle_frames(config: &Config, bus: usize) -> usize {
-    let drives = config.drives.drives.iter().filter(|drive| drive.bus == bus).count();
-    1 + match config.drives.buses[bus].layout {
-        BusLayout::Classic => drives,
-        BusLayout::Packed => drives.min(1),
-    }
-}
-
-/// Which interfaces of the kernel have a transmit queue that does not hold a cycle, in words with the remedy. A cycle is
-/// handed over at once; what does not fit waits in this process until the next cycle, and is dropped then, SYNC first of
-/// all. `queue_length` is the kernel's word about an interface: `None` where it has none to say, 0 without a queue.
-pub(crate) fn short_queues(config: &Config, queue_length: impl Fn(&str) -> Option<usize>) -> Vec<String> {
-    let of_kernel = |(_, bus): &(usize, &crate::config::BusConfig)| bus.kind == BusKind::Socketcan;
-    let short = |(index, bus): (usize, &crate::config::BusConfig)| {
-        let (frames, length) = (cycle_frames(config, index), queue_length(&bus.interface)?);
-        (1..frames).contains(&length).then(|| {
-            let (name, interface, wanted) = (&bus.name, &bus.interface, 2 * frames);
-            format!(
-                "bus {name}: the transmit queue of {interface} holds {length} frames and a cycle has {frames}: its torques \
-                 or SYNC will be late or missing; `ip link set {interface} txqueuelen {wanted}`"
-            )
-        })
+fn bus_spec(config: &Config, index: usize) -> BusSpec {
+    let bus = &config.drives.buses[index];
+    let kind = match bus.kind {
+        BusKind::Virtual => bus_config::BusKind::Virtual,
+        BusKind::Socketcan => bus_config::BusKind::Socketcan,
     };
-    config.drives.buses.iter().enumerate().filter(of_kernel).filter_map(short).collect()
+    let mut spec = BusSpec::new(kind, bus.interface.clone());
+    spec.fd = bus.fd;
+    // A cycle of a full bus, or what the master has to say to so many drives at once. What is left of a cycle when the
+    // next one begins is dropped by whoever sends them.
+    spec.queue_length = 256;
+    spec.burst = layout(bus.layout).burst(drives_on(config, index));
+    spec
 }
 
-/// Length of an interface's transmit queue as the kernel tells it.
-pub(crate) fn queue_length(interface: &str) -> Option<usize> {
-    std::fs::read_to_string(format!("/sys/class/net/{interface}/tx_queue_len")).ok()?.trim().parse().ok()
+fn drives_on(config: &Config, bus: usize) -> usize {
+    config.drives.drives.iter().filter(|drive| drive.bus == bus).count()
 }
 
 #[cfg(test)]
@@ -258,26 +237,14 @@ mod tests {
     }
 
     #[test]
-    fn a_transmit_queue_shorter_than_a_cycle_is_named_with_its_remedy() {
-        let on_can = |c: &mut Config| {
-            for (i, bus) in c.drives.buses.iter_mut().enumerate() {
-                (bus.kind, bus.interface) = (BusKind::Socketcan, format!("can{i}"));
-            }
-        };
-        let one_bus = config(on_can);
-        let said = short_queues(&one_bus, |_| Some(10));
-        assert_eq!(said.len(), 1);
-        for part in ["can0", "holds 10 frames", "a cycle has 25", "txqueuelen 50"] {
-            assert!(said[0].contains(part), "{part} is not in {said:?}");
+    fn every_bus_is_opened_for_the_frames_of_its_cycle() {
+        for (drives, bursts) in
+            [("drives.toml", vec![25]), ("drives-4-buses.toml", vec![7; 4]), ("drives-4-fd-buses.toml", vec![2; 4])]
+        {
+            let config = config_with(drives, |_| {});
+            let found: Vec<usize> = (0..config.drives.buses.len()).map(|bus| bus_spec(&config, bus).burst).collect();
+            assert_eq!(found, bursts, "{drives}");
         }
-        for enough in [Some(25), Some(1000), Some(0), None] {
-            assert!(short_queues(&one_bus, |_| enough).is_empty(), "{enough:?}");
-        }
-        // Packed: one frame of torques, and SYNC. The user-space bus has no queue.
-        assert!(short_queues(&config_with("drives-4-fd-buses.toml", on_can), |_| Some(2)).is_empty());
-        assert_eq!(short_queues(&config_with("drives-4-fd-buses.toml", on_can), |_| Some(1)).len(), 4);
-        assert!(short_queues(&config(|_| {}), |_| Some(10)).is_empty());
-        assert_eq!(queue_length("no such interface"), None);
     }
 
     #[test]
@@ -292,6 +259,19 @@ mod tests {
         bank.encode_into(&[100.0; 24], &mut torques).unwrap();
         // 100 N on 15 mm behind a gear of 10: 0.15 N m of 0.35.
         assert_eq!(torques, [429; 24]);
+    }
+
+    #[test]
+    fn an_encoder_that_would_run_over_within_its_cables_length_is_refused() {
+        let error = check(&config(|c| {
+            c.drives.drives[7].counts_per_turn = 100_000_000;
+            c.drives.drives[7].gear_ratio = 2000.0;
+        }))
+        .unwrap_err();
+        let text = error.to_string();
+        for part in ["[drives]", "cable 7", "counts_per_turn = 100000000", "must be 1 to ", "travel 0.65"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
     }
 
     #[test]

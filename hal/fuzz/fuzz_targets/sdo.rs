@@ -23,6 +23,9 @@ impl ObjectAccess for Objects {
     fn check_write(&mut self, index: u16, _: u8) -> Result<(), AbortCode> {
         if index & 1 == 0 { Ok(()) } else { Err(AbortCode::NO_OBJECT) }
     }
+    fn length(&self, _: u16, sub: u8) -> Option<usize> {
+        (sub > 0).then_some(usize::from(sub))
+    }
 }
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -62,6 +62,8 @@ pub struct SdoClient {
     index: u16,
     sub: u8,
     data: Vec<u8>,
+    /// Length that the object read has, where the caller knows it (bytes).
+    expected: Option<usize>,
     timeout_ns: u64,
     deadline_ns: u64,
     /// Quiet from here on, unless a late answer comes.
@@ -82,6 +84,7 @@ impl SdoClient {
             index: 0,
             sub: 0,
             data: Vec::new(),
+            expected: None,
             timeout_ns,
             deadline_ns: 0,
             quiet_ns: 0,
@@ -106,10 +109,19 @@ impl SdoClient {
         self.step != Step::Idle
     }
 
-    /// Starts a read and returns the payload to send; a running transfer is forgotten.
+    /// Starts a read and returns the payload to send; a running transfer is forgotten. Of a server that does not indicate
+    /// how many of an expedited answer's four bytes count, all four are taken.
     pub fn upload(&mut self, index: u16, sub: u8, now_ns: u64) -> [u8; 8] {
         self.begin(Step::Upload, index, sub, now_ns);
         Request::Upload { index, sub }.encode()
+    }
+
+    /// As [`Self::upload`], of an object that has this many bytes: so many are taken of an answer that does not indicate its
+    /// size (e = 1, s = 0; CiA 301, 7.2.4.3.6), for what stands behind them is no part of the value.
+    pub fn upload_sized(&mut self, index: u16, sub: u8, len: usize, now_ns: u64) -> [u8; 8] {
+        let request = self.upload(index, sub, now_ns);
+        self.expected = Some(len);
+        request
     }
 
     /// Starts a write and returns the payload to send: expedited up to four bytes, else segmented.
@@ -127,6 +139,7 @@ impl SdoClient {
     fn begin(&mut self, step: Step, index: u16, sub: u8, now_ns: u64) {
         (self.step, self.index, self.sub) = (step, index, sub);
         self.data.clear();
+        self.expected = None;
         self.deadline_ns = now_ns + self.timeout_ns;
     }
 
@@ -177,7 +190,8 @@ impl SdoClient {
                 Ok(Some(self.send_segment(sent, !toggle)))
             }
             (Step::Upload, Response::Upload { start: Start::Expedited(len, bytes), .. }) => {
-                self.data.extend_from_slice(&bytes[..len.unwrap_or(4)]);
+                let len = len.or(self.expected).unwrap_or(bytes.len()).min(bytes.len());
+                self.data.extend_from_slice(&bytes[..len]);
                 Ok(None)
             }
             (Step::Upload, Response::Upload { start: Start::Segmented(announced), .. }) => {
@@ -275,6 +289,9 @@ mod tests {
                 _ => Err(AbortCode::NO_OBJECT),
             }
         }
+        fn length(&self, _: u16, _: u8) -> Option<usize> {
+            None
+        }
     }
 
     fn run(client: &mut SdoClient, server: &mut SdoServer, objects: &mut One, first: [u8; 8]) -> Outcome {
@@ -288,6 +305,23 @@ mod tests {
             next = reply;
         }
         Outcome::Pending
+    }
+
+    #[test]
+    fn an_answer_without_its_size_is_as_long_as_the_object_is_known_to_be() {
+        let answer = Response::Upload { index: 0x6061, sub: 0, start: Start::Expedited(None, [10, 1, 2, 3]) }.encode();
+        let mut c = SdoClient::new(1000);
+        let _ = c.upload_sized(0x6061, 0, 1, 0);
+        assert_eq!(c.on_response(&answer, 0).0, Outcome::Done(vec![10]));
+        // One that is longer cannot have come so: its four bytes are no such value.
+        let _ = c.upload_sized(0x6061, 0, 8, 0);
+        assert_eq!(c.on_response(&answer, 0).0, Outcome::Done(vec![10, 1, 2, 3]));
+        let _ = c.upload(0x6061, 0, 0);
+        assert_eq!(c.on_response(&answer, 0).0, Outcome::Done(vec![10, 1, 2, 3]));
+        // What the server indicates counts, whatever was expected.
+        let sized = Response::Upload { index: 0x6061, sub: 0, start: expedited(&[10, 1]) }.encode();
+        let _ = c.upload_sized(0x6061, 0, 1, 0);
+        assert_eq!(c.on_response(&sized, 0).0, Outcome::Done(vec![10, 1]));
     }
 
     proptest! {

@@ -22,6 +22,10 @@ pub trait ObjectAccess {
     /// # Errors
     /// The abort code to answer with.
     fn check_write(&mut self, index: u16, sub: u8) -> Result<(), AbortCode>;
+
+    /// Bytes that the object has, where that is fixed: so many are taken of an expedited write that does not indicate its
+    /// size (e = 1, s = 0; CiA 301, 7.2.4.3.3), otherwise all four.
+    fn length(&self, index: u16, sub: u8) -> Option<usize>;
 }
 
 #[derive(Debug, Clone, Default)]
@@ -110,7 +114,10 @@ impl SdoServer {
             Request::Download { index, sub, start } => {
                 self.transfer = Transfer::Idle;
                 match start {
-                    Start::Expedited(len, bytes) => objects.write(index, sub, &bytes[..len.unwrap_or(4)])?,
+                    Start::Expedited(len, bytes) => {
+                        let len = len.or_else(|| objects.length(index, sub)).unwrap_or(bytes.len()).min(bytes.len());
+                        objects.write(index, sub, &bytes[..len])?;
+                    }
                     Start::Segmented(announced) => {
                         objects.check_write(index, sub)?;
                         if announced.is_some_and(|n| n as usize > TRANSFER_LEN_MAX) {

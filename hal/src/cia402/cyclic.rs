@@ -8,6 +8,7 @@ use super::objects::{decode_tpdo1, encode_rpdo1};
 use crate::can::{CanBus, DATA_LEN_MAX, Frame, FrameError, Id, Kind, Received, SendError};
 use crate::canopen::NodeId;
 use crate::canopen::cob::{self, RPDO, SYNC, TPDO};
+use crate::clock::monotonic_ns;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
 
@@ -42,13 +43,52 @@ impl DriveMask {
     }
 }
 
+/// Cycles whose beginning is remembered: the receive thread may be late by so many, less one that is being written.
+const BEGINNINGS: u64 = 64;
+
 /// What control thread, receive thread and master share.
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) controlwords: Box<[AtomicU16]>,
+    /// The newest cycle.
     pub(crate) cycle: AtomicU64,
+    /// When the newest cycles began (CLOCK_MONOTONIC, ns), each at its number modulo the length.
+    begun_ns: [AtomicU64; BEGINNINGS as usize],
     /// Frames of cycles that a bus did not take, or not before the next cycle, by bus.
     pub(crate) unsent: Box<[AtomicU64]>,
+}
+
+impl Shared {
+    pub(crate) fn new(drives: usize, buses: usize) -> Self {
+        Self {
+            controlwords: (0..drives).map(|_| AtomicU16::new(0)).collect(),
+            cycle: AtomicU64::new(0),
+            begun_ns: std::array::from_fn(|_| AtomicU64::new(0)),
+            unsent: (0..buses).map(|_| AtomicU64::new(0)).collect(),
+        }
+    }
+
+    fn slot(&self, cycle: u64) -> &AtomicU64 {
+        &self.begun_ns[(cycle % BEGINNINGS) as usize]
+    }
+
+    /// The next cycle, which begins now; for its only sender.
+    fn begin(&self, now_ns: u64) -> u64 {
+        let cycle = self.cycle.load(Ordering::Acquire) + 1;
+        self.slot(cycle).store(now_ns, Ordering::Release);
+        self.cycle.store(cycle, Ordering::Release);
+        cycle
+    }
+
+    /// The newest cycle that had begun at a time, which is that of a SYNC received then, however late it is read; the
+    /// newest of all if none had, of a bus whose times are no CLOCK_MONOTONIC.
+    fn cycle_at(&self, time_ns: u64) -> u64 {
+        let newest = self.cycle.load(Ordering::Acquire);
+        // The slot after the newest may be being written.
+        let oldest = newest.saturating_sub(BEGINNINGS - 2).max(1);
+        let begun = |cycle: &u64| self.slot(*cycle).load(Ordering::Acquire) <= time_ns;
+        (oldest..=newest).rev().find(begun).unwrap_or(newest)
+    }
 }
 
 /// Where a drive is.
@@ -128,7 +168,7 @@ impl CycleWriter {
     /// safe.
     pub fn write_cycle(&mut self, torques_permille: &[i16]) -> CycleReport {
         // Counted before SYNC leaves, so that the receive side never sees a SYNC whose number is not there yet.
-        let cycle = self.shared.cycle.fetch_add(1, Ordering::AcqRel) + 1;
+        let cycle = self.shared.begin(monotonic_ns());
         let mut report = CycleReport { cycle, ..CycleReport::default() };
         for (bus, line) in self.buses.iter_mut().enumerate() {
             let left = line.discard_waiting();
@@ -319,15 +359,105 @@ impl Decoder {
     }
 
     fn on_sync(&mut self, bus: usize, time_ns: u64) -> Event {
-        let cycle = self.shared.cycle.load(Ordering::Acquire);
+        // By the time at which it came: when this thread is late, the control thread may be a cycle ahead already, and
+        // answers to two SYNCs would be taken for one reading.
+        let cycle = self.shared.cycle_at(time_ns).max(self.bus_cycle[bus]);
         self.bus_cycle[bus] = cycle;
-        if cycle == self.cycle {
-            return Event::Sync;
+        if cycle <= self.cycle {
+            return Event::Sync; // of another bus, which is later than the one that opened the cycle
         }
         let (before, missing) = (self.cycle, self.missing());
         self.cycle = cycle;
         self.seen = DriveMask::default();
         self.sync_ns = time_ns;
         if before != 0 && !missing.is_empty() { Event::Incomplete { cycle: before, missing } } else { Event::Sync }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DriveSetup, Master, MasterConfig};
+    use super::*;
+    use crate::memory_bus::MemoryBus;
+
+    fn node(n: u8) -> NodeId {
+        NodeId::new(n).unwrap()
+    }
+
+    /// A writer and a decoder of one drive on each of two buses, and the times at which so many cycles had been sent.
+    fn sent(cycles: u64) -> (Decoder, Vec<u64>) {
+        let config = MasterConfig::new((0..2).map(|bus| DriveSetup::new(bus, node(5))).collect(), node(127), 10_000);
+        let buses = (0..2).map(|_| Box::new(MemoryBus::default()) as Box<dyn CanBus>).collect();
+        let mut master = Master::new(config, buses).unwrap();
+        let mut writer = master.take_writer().unwrap();
+        let send = |cycle| {
+            assert_eq!(writer.write_cycle(&[]).cycle, cycle);
+            let now_ns = monotonic_ns();
+            while monotonic_ns() == now_ns {}
+            now_ns
+        };
+        (master.decoder(), (1..=cycles).map(send).collect())
+    }
+
+    fn at(time_ns: u64, frame: Result<Frame, FrameError>) -> Received {
+        Received { frame: frame.unwrap(), time_ns }
+    }
+
+    fn sync(time_ns: u64) -> Received {
+        at(time_ns, cob::frame(SYNC, &[]))
+    }
+
+    fn answer(time_ns: u64) -> Received {
+        at(time_ns, cob::frame(node(5).cob(TPDO), &[0; 8]))
+    }
+
+    #[test]
+    fn a_sync_that_is_read_late_opens_the_cycle_in_which_it_was_sent() {
+        // Four cycles have gone out before the receive thread reads the first.
+        let (mut decoder, times) = sent(4);
+        for (cycle, &time_ns) in (1..).zip(&times) {
+            for bus in 0..2 {
+                assert_eq!(decoder.on_frame(bus, &sync(time_ns)), Event::Sync);
+                assert_eq!((decoder.cycle(), decoder.bus_cycle(bus), decoder.sync_ns()), (cycle, cycle, time_ns));
+            }
+            assert_eq!(decoder.on_frame(0, &answer(time_ns)), Event::Feedback(0));
+            let complete = Event::Complete { cycle, sync_ns: time_ns };
+            assert_eq!(decoder.on_frame(1, &answer(time_ns)), complete);
+            assert!(decoder.feedback().iter().all(|f| f.cycle == cycle));
+        }
+    }
+
+    #[test]
+    fn a_bus_that_is_read_after_another_has_its_own_cycle_until_its_sync_comes() {
+        let (mut decoder, times) = sent(2);
+        decoder.on_frame(0, &sync(times[0]));
+        decoder.on_frame(0, &answer(times[0]));
+        let mut second = DriveMask::default();
+        second.insert(1);
+        let incomplete = Event::Incomplete { cycle: 1, missing: second };
+        assert_eq!(decoder.on_frame(0, &sync(times[1])), incomplete);
+        // Only now the first SYNC of the other bus: its answer is of the first cycle and completes nothing.
+        assert_eq!(decoder.on_frame(1, &sync(times[0])), Event::Sync);
+        assert_eq!((decoder.cycle(), decoder.bus_cycle(1)), (2, 1));
+        assert_eq!(decoder.on_frame(1, &answer(times[0])), Event::Feedback(1));
+        assert_eq!(decoder.feedback()[1].cycle, 1);
+        decoder.on_frame(0, &answer(times[1]));
+        decoder.on_frame(1, &sync(times[1]));
+        assert_eq!(decoder.on_frame(1, &answer(times[1])), Event::Complete { cycle: 2, sync_ns: times[1] });
+    }
+
+    #[test]
+    fn without_a_time_of_this_clock_the_newest_cycle_counts() {
+        let (mut decoder, times) = sent(200);
+        decoder.on_frame(0, &sync(0));
+        assert_eq!(decoder.cycle(), 200);
+        // As far back as is remembered.
+        let (mut decoder, times_too) = sent(200);
+        decoder.on_frame(0, &sync(times_too[200 - 63]));
+        assert_eq!(decoder.cycle(), 200 - 62);
+        // A stamp that goes back does not take the bus back.
+        decoder.on_frame(0, &sync(times_too[199]));
+        decoder.on_frame(0, &sync(times_too[150]));
+        assert_eq!((decoder.cycle(), decoder.bus_cycle(0), times.len()), (200, 200, 200));
     }
 }

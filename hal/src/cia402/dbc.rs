@@ -56,7 +56,7 @@ fn targets(t: &mut String, n: NodeId, bit: usize) {
     let _ = write!(
         t,
         " SG_ Controlword_{n} : {bit}|16@1+ (1,0) [0|65535] \"\" DRIVE{n}\n \
-         SG_ TargetTorque_{n} : {}|16@1- (1,0) [-1000|1000] \"permille\" DRIVE{n}\n",
+         SG_ TargetTorque_{n} : {}|16@1- (1,0) [-10000|10000] \"permille\" DRIVE{n}\n",
         bit + 16
     );
 }

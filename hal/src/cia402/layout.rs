@@ -83,17 +83,26 @@ impl Layout {
         }
     }
 
+    /// Frames that the master gives to a bus of so many drives at once in every cycle: the RPDOs and SYNC.
+    pub const fn burst(self, drives: usize) -> usize {
+        match self {
+            Self::Classic => drives + 1,
+            Self::Packed if drives == 0 => 1,
+            Self::Packed => 2,
+        }
+    }
+
     /// Load of a bus at these rates with this many drives: in each cycle one SYNC, the RPDOs and one TPDO of each drive;
     /// beside that the heartbeats of the drives and of the master, each of this period (s).
     pub fn load(self, rates: BitRates, drives: usize, heartbeat_s: f64) -> Load {
         let bytes = |entries: &[Mapped]| entries.iter().map(|m| m.bytes()).sum();
-        let (rpdos, rpdo, tpdo) = match self {
-            Self::Classic => (drives, Shape::classic(bytes(&RPDO1)), Shape::classic(bytes(&TPDO1))),
-            Self::Packed => (drives.min(1), Shape::fd(packed_len(drives)), Shape::fd(bytes(&TPDO1))),
+        let (rpdo, tpdo) = match self {
+            Self::Classic => (Shape::classic(bytes(&RPDO1)), Shape::classic(bytes(&TPDO1))),
+            Self::Packed => (Shape::fd(packed_len(drives)), Shape::fd(bytes(&TPDO1))),
         };
         Load::new(rates)
             .with(Shape::classic(0), Rate::PerCycle(1.0))
-            .with(rpdo, Rate::PerCycle(rpdos as f64))
+            .with(rpdo, Rate::PerCycle((self.burst(drives) - 1) as f64))
             .with(tpdo, Rate::PerCycle(drives as f64))
             .with(Shape::classic(1), Rate::PerSecond((drives + 1) as f64 / heartbeat_s))
     }

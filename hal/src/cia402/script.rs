@@ -190,10 +190,13 @@ impl Runner {
             Some(Step::Write { index, sub, data, .. }) if !self.reading_back => {
                 Advance::Send(self.client.download(*index, *sub, data, now_ns))
             }
-            Some(Step::Write { index, sub, .. } | Step::Check { index, sub, .. }) => {
-                Advance::Send(self.client.upload(*index, *sub, now_ns))
+            Some(Step::Write { index, sub, data, .. }) => {
+                Advance::Send(self.client.upload_sized(*index, *sub, data.len(), now_ns))
             }
-            Some(Step::RatedTorque) => Advance::Send(self.client.upload(o::RATED_TORQUE, 0, now_ns)),
+            Some(Step::Check { index, sub, len, .. }) => {
+                Advance::Send(self.client.upload_sized(*index, *sub, *len, now_ns))
+            }
+            Some(Step::RatedTorque) => Advance::Send(self.client.upload_sized(o::RATED_TORQUE, 0, 4, now_ns)),
         }
     }
 

@@ -160,6 +160,13 @@ fn ask(socket: &CanSocket, name: InterfaceName, what: libc::Ioctl, step: &'stati
     Ok(request)
 }
 
+/// Frames that the interface's transmit queue holds.
+pub(super) fn transmit_queue(socket: &CanSocket, name: InterfaceName) -> Result<usize, Refusal> {
+    let request = ask(socket, name, libc::SIOCGIFTXQLEN as _, "SIOCGIFTXQLEN")?;
+    // SAFETY: the kernel has filled this member, which is the number that ifr_qlen names in C.
+    Ok(usize::try_from(unsafe { request.ifr_ifru.ifru_metric }).unwrap_or(0))
+}
+
 fn is_up(socket: &CanSocket, name: InterfaceName) -> Result<bool, Refusal> {
     let flags = ask(socket, name, libc::SIOCGIFFLAGS as _, "SIOCGIFFLAGS")?;
     // SAFETY: the kernel has filled this member.

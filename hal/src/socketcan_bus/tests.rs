@@ -3,7 +3,6 @@
 
 use std::cell::RefCell;
 use std::os::fd::{AsRawFd, OwnedFd};
-use std::sync::atomic::{AtomicU16, AtomicU64};
 
 use rustix::net::{AddressFamily, SocketFlags, SocketType};
 
@@ -110,11 +109,7 @@ fn a_new_cycle_takes_the_place_of_what_is_left_of_the_one_before() {
     let (bus, wire) = bus(&spec(256));
     let node = |i: usize| NodeId::new(i as u8 + 1).unwrap();
     let drives = (0..DRIVES).map(|i| Address { bus: 0, node: node(i), rank: i, torque_permille_max: i16::MAX });
-    let shared = Arc::new(Shared {
-        controlwords: (0..DRIVES).map(|_| AtomicU16::new(0)).collect(),
-        cycle: AtomicU64::new(0),
-        unsent: Box::new([AtomicU64::new(0)]),
-    });
+    let shared = Arc::new(Shared::new(DRIVES, 1));
     let mut writer = CycleWriter::new(vec![Box::new(bus)], drives.collect(), vec![Layout::Classic], shared.clone());
     let unsent = || shared.unsent[0].load(Ordering::Relaxed);
     // Nobody reads: at some cycle the kernel's queue is full, and part of it is left when the next one begins.
@@ -192,6 +187,49 @@ fn received_frames_carry_a_monotonic_time_that_is_not_in_the_future() {
 }
 
 #[test]
+fn a_flush_hands_over_what_the_kernel_takes_and_tells_what_is_left() {
+    let (mut bus, wire) = bus(&spec(5));
+    while bus.queued() < 5 {
+        bus.send(&frame(1)).unwrap();
+    }
+    assert_eq!(CanBus::flush(&mut bus), 5);
+    drain(&wire);
+    assert_eq!(CanBus::flush(&mut bus), 0);
+    assert_eq!(drain(&wire), [frame(1); 5]);
+}
+
+#[test]
+fn the_master_leaves_nothing_in_a_handles_queue_that_it_would_want_back() {
+    MAY_RECONNECT.set(true);
+    let (near, wire) = pair();
+    let other = CanSocket::from(rustix::io::dup(&near).unwrap());
+    let name = InterfaceName::new("can9").unwrap();
+    let bus = SocketCanBus::with_socket(name, &spec(256), near, reconnect);
+    // A cable that is off: the queue of the interface is full and stays so.
+    let mut bytes = [0; FD_LEN];
+    let len = wire::encode(&frame(0), &mut bytes);
+    while socket::send(&other, &bytes[..len]).is_ok() {}
+    let node = |n| crate::canopen::NodeId::new(n).unwrap();
+    let drives = (1..=24).map(|n| crate::cia402::DriveSetup::new(0, node(n))).collect();
+    let config = crate::cia402::MasterConfig::new(drives, node(127), 10_000);
+    let mut master = crate::cia402::Master::new(config, vec![Box::new(bus)]).unwrap();
+    for ms in 0..20_000 {
+        if ms % 500 == 0 {
+            master.start(ms * 1_000_000);
+        }
+        master.poll(ms * 1_000_000);
+    }
+    drain(&wire);
+    // The frame that the handle held, then those of the last start: a heartbeat, and a reset of each drive.
+    let mut found = Vec::new();
+    for _ in 0..100 {
+        master.poll(20_000 * 1_000_000);
+        found.extend(drain(&wire));
+    }
+    assert_eq!(found.len(), 1 + 1 + 24, "{found:?}");
+}
+
+#[test]
 fn error_frames_change_the_state_of_all_handles_and_are_no_frames() {
     let (mut bus, wire) = bus(&spec(4));
     MAY_RECONNECT.set(true);
@@ -208,6 +246,41 @@ fn error_frames_change_the_state_of_all_handles_and_are_no_frames() {
     assert_eq!(bus.receive(Duration::ZERO), Ok(None));
     assert_eq!(sender.send(&frame(2)), Ok(()));
     assert_eq!(bus.counters().errors, 3);
+}
+
+#[test]
+fn bus_off_empties_the_queues_of_all_handles_whoever_was_told() {
+    // The sender calls while the bus is off, or only when it is back.
+    for calls in [true, false] {
+        MAY_RECONNECT.set(true);
+        let (mut bus, wire) = bus(&spec(4));
+        let mut sender = bus.duplicate().unwrap();
+        let sent_to = WIRE.with(|w| w.borrow_mut().pop()).unwrap();
+        while sender.send(&frame(1)).is_ok() {}
+        let sent = sender.counters().sent;
+        put_error(&wire, 0x40, [0; 8]);
+        assert_eq!(bus.receive(WAIT), Err(ReceiveError::Bus(BusState::BusOff)));
+        assert_eq!(drain(&sent_to).len() as u64, sent - 4, "the rest waits in the handle");
+        if calls {
+            assert_eq!(sender.send(&frame(2)), Err(SendError::Bus(BusState::BusOff)));
+        }
+        put_error(&wire, 0x100, [0; 8]);
+        assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+        assert_eq!(sender.send(&frame(3)), Ok(()));
+        assert_eq!(drain(&sent_to), [frame(3)], "old frames came out after the loss");
+        assert_eq!((sender.counters().sent, sender.counters().refused), (sent - 4 + 1, 1 + 4));
+    }
+}
+
+#[test]
+fn a_transmit_queue_shorter_than_a_cycle_is_refused_with_its_remedy() {
+    let name = InterfaceName::new("can9").unwrap();
+    let refused = check_queue(name, 10, 25).unwrap_err();
+    assert!(matches!(refused, OpenError::ShortQueue { found: 10, burst: 25, .. }));
+    assert!(refused.to_string().ends_with("`ip link set can9 txqueuelen 128`"), "{refused}");
+    assert!(check_queue(name, 24, 25).is_err() && check_queue(name, 25, 25).is_ok());
+    assert!(check_queue(name, 10, 7).is_ok(), "six drives on a bus as it comes");
+    assert!(matches!(check_queue(name, 128, 129), Err(OpenError::ShortQueue { remedy: 256, .. })));
 }
 
 #[test]
@@ -233,6 +306,94 @@ fn a_lost_link_empties_the_queue_and_comes_back_with_growing_intervals() {
     assert_eq!(drain(&wire), [], "old frames came out after the loss");
     bus.send(&frame(3)).unwrap();
     assert_eq!(drain(&wire), [frame(3)]);
+}
+
+/// Whether the other end of this socket has been closed.
+fn is_closed(far: &CanSocket) -> bool {
+    let mut bytes = [0; FD_LEN];
+    socket::receive(far, &mut bytes).is_ok_and(|arrival| arrival.len == 0)
+}
+
+fn last_wire() -> CanSocket {
+    WIRE.with(|w| w.borrow_mut().pop()).unwrap()
+}
+
+#[test]
+fn a_handle_that_only_sends_neither_opens_nor_closes_a_socket_where_another_receives() {
+    MAY_RECONNECT.set(true);
+    let (mut bus, _wire) = bus(&spec(4));
+    let mut sender = bus.another().unwrap();
+    let first = last_wire();
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    sender.lose_link();
+    let opened = || WIRE.with(|w| w.borrow().len());
+    // Long after any interval of its own.
+    for _ in 0..20 {
+        std::thread::sleep(Duration::from_millis(1));
+        assert_eq!(sender.send(&frame(1)), Err(SendError::Bus(BusState::Down)));
+    }
+    assert_eq!(opened(), 0, "it opened a socket itself");
+    // The receiver sees to it: first to a new one, then that the old one is closed.
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert_eq!(opened(), 1);
+    assert_eq!(sender.state(), BusState::Down, "not before its next call");
+    assert_eq!(sender.send(&frame(2)), Ok(()));
+    let second = last_wire();
+    assert_eq!(drain(&second), [frame(2)]);
+    assert!(!is_closed(&first), "it closed a socket itself");
+    assert_eq!(bus.receive(Duration::ZERO), Ok(None));
+    assert!(is_closed(&first));
+    // And once more, with the interface away for a while.
+    MAY_RECONNECT.set(false);
+    sender.lose_link();
+    assert_eq!(sender.send(&frame(3)), Err(SendError::Bus(BusState::Down)));
+    assert_eq!(bus.receive(Duration::from_millis(12)), Ok(None));
+    assert_eq!(sender.send(&frame(3)), Err(SendError::Bus(BusState::Down)));
+    MAY_RECONNECT.set(true);
+    assert_eq!(bus.receive(Duration::from_millis(12)), Ok(None));
+    assert_eq!(sender.send(&frame(4)), Ok(()));
+    assert_eq!(drain(&last_wire()), [frame(4)]);
+}
+
+#[test]
+fn where_nobody_receives_a_handle_comes_back_by_itself() {
+    MAY_RECONNECT.set(true);
+    let (mut bus, _wire) = bus(&spec(4));
+    {
+        // One that received, and is no more.
+        let mut receiver = bus.another().unwrap();
+        assert_eq!(receiver.receive(Duration::ZERO), Ok(None));
+    }
+    bus.lose_link();
+    while bus.send(&frame(1)).is_err() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(drain(&last_wire()), [frame(1)]);
+}
+
+#[test]
+fn a_handle_that_comes_back_late_does_not_hide_that_the_controller_went_off_since() {
+    MAY_RECONNECT.set(true);
+    let (mut early, _wire) = bus(&spec(4));
+    let mut late = early.another().unwrap();
+    for handle in [&mut early, &mut late] {
+        assert_eq!(handle.receive(Duration::ZERO), Ok(None));
+    }
+    let _ = last_wire();
+    early.lose_link();
+    late.lose_link();
+    while early.receive(Duration::from_millis(10)) != Ok(None) {}
+    let wire = last_wire();
+    put_error(&wire, 0x40, [0; 8]);
+    assert_eq!(early.receive(WAIT), Err(ReceiveError::Bus(BusState::BusOff)));
+    while late.link_lost {
+        let _ = late.receive(Duration::from_millis(10));
+    }
+    assert_eq!((early.state(), late.state()), (BusState::BusOff, BusState::BusOff));
+    // A loss of the link after it ends it: the interface was taken down and up.
+    early.lose_link();
+    while early.receive(Duration::from_millis(10)) != Ok(None) {}
+    assert_eq!((early.state(), late.state()), (BusState::ErrorActive, BusState::ErrorActive));
 }
 
 #[test]

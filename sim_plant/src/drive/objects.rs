@@ -82,7 +82,8 @@ fn limits(index: u16, sub: u8) -> Option<(i64, i64)> {
         (o::ERROR_FIELD, 0) => Some((0, 0)),
         (o::ERROR_BEHAVIOUR, 1) => Some((0, 2)),
         (o::ABORT_CONNECTION, 0) => Some((0, 3)),
-        (o::GUARD, 2) => Some((-1000, 1000)),
+        // Ten times the rated torque, as far as sinew's configuration lets a drive go; 6072 limits what is applied.
+        (o::GUARD, 2) => Some((-10_000, 10_000)),
         (o::PDO_FORMAT, 0) => Some((o::PDO_FORMAT_CLASSIC.into(), o::PDO_FORMAT_FD_BRS.into())),
         (0x1600..=0x1603 | 0x1a00..=0x1a03, 0) => Some((0, i64::from(MAPPED_MAX))),
         _ => None,

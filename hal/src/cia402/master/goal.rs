@@ -10,8 +10,12 @@ use super::Master;
 use super::status::{Goal, Phase};
 use std::sync::atomic::Ordering;
 
+/// Cycles that a drive may leave unanswered however long they take.
+const CYCLES_UNANSWERED: u64 = 5;
+
 impl Master {
-    /// Moves each drive one transition nearer to the goal, in the order wanted.
+    /// Moves each drive one transition nearer to the goal, in the order wanted. On the way to less power nobody waits for a
+    /// drive that is not heard: it is told the same, and those behind it would keep their torque for its sake.
     pub(super) fn follow_goal(&mut self, now_ns: u64) {
         let order = if self.goal == Goal::Enabled {
             self.config.order_of_enabling
@@ -24,10 +28,8 @@ impl Master {
             if self.slots[i].status.phase != Phase::Ready {
                 continue;
             }
-            // A drive in fault gives no torque and goes nowhere before a reset: those behind it must not wait for that.
-            let faulted = matches!(self.slots[i].status.state(), Some(State::Fault | State::FaultReactionActive));
-            let arrived = self.step_towards_goal(i, now_ns) || faulted;
-            if !arrived && order != Order::Parallel && !self.slots[i].stuck {
+            let arrived = self.step_towards_goal(i, now_ns);
+            if !arrived && !self.is_not_waited_for(i, now_ns) && order != Order::Parallel && !self.slots[i].stuck {
                 break;
             }
         }
@@ -40,12 +42,19 @@ impl Master {
         let timeout_ms = self.config.transition_timeout_ms;
         let Some(statusword) = self.slots[i].status.statusword else {
             if late && !self.slots[i].stuck {
-                self.slots[i].stuck = true;
+                self.give_up(i);
                 self.fault(i, now_ns, Fault::NoFeedback { timeout_ms });
             }
             return false;
         };
-        let Some(found) = State::from_statusword(statusword) else { return false };
+        let Some(found) = State::from_statusword(statusword) else {
+            if late && !self.slots[i].stuck {
+                self.give_up(i);
+                let (wanted, found) = (State::SwitchOnDisabled, State::NotReadyToSwitchOn);
+                self.fault(i, now_ns, Fault::Transition { wanted, found, statusword, timeout_ms });
+            }
+            return false;
+        };
         if self.fault_reset(i, found, now_ns) {
             return false;
         }
@@ -72,12 +81,43 @@ impl Master {
             slot.wanted = Some(wanted);
             slot.since_ns = now_ns;
         } else if late {
-            slot.stuck = true;
+            self.give_up(i);
             self.fault(i, now_ns, Fault::Transition { wanted, found, statusword, timeout_ms });
             return false;
         }
         self.shared.controlwords[i].store(word, Ordering::Release);
         false
+    }
+
+    /// No further transition until the goal is set anew. Where there shall be no torque, the last word is the one that takes
+    /// the power away in any state: the drive may hear although it is not heard, and would keep its power on at the word
+    /// of a transition on the way.
+    fn give_up(&mut self, i: usize) {
+        self.slots[i].stuck = true;
+        if self.goal != Goal::Enabled {
+            self.shared.controlwords[i].store(Command::DisableVoltage.controlword(), Ordering::Release);
+        }
+    }
+
+    /// Those behind it go on although it is not where the goal wants it.
+    fn is_not_waited_for(&self, i: usize, now_ns: u64) -> bool {
+        match self.slots[i].status.state() {
+            // It gives no torque and goes nowhere before a reset.
+            Some(State::Fault | State::FaultReactionActive) => true,
+            _ if self.goal == Goal::Enabled => false,
+            // Without power, and no command is obeyed.
+            Some(State::NotReadyToSwitchOn) => true,
+            _ => self.is_unheard(i, now_ns),
+        }
+    }
+
+    /// Nothing is known of where the drive is: its heartbeat is lost, or its statusword stays out although there were SYNCs.
+    fn is_unheard(&self, i: usize, now_ns: u64) -> bool {
+        let slot = &self.slots[i];
+        let old =
+            now_ns.saturating_sub(slot.feedback_ns) > u64::from(self.config.drive_heartbeat_timeout_ms) * 1_000_000;
+        let asked = self.shared.cycle.load(Ordering::Acquire).saturating_sub(slot.feedback_cycle) > CYCLES_UNANSWERED;
+        slot.heartbeat_lost || old && asked
     }
 
     /// The edge of bit 7 over two cycles each way, so that a lost frame does not swallow it; true while under way.

@@ -6,7 +6,7 @@
 //! from the next SYNC on, happen without a control loop.
 //!
 //! Enters: frames, the time, the goal. Leaves: frames, faults as data, the state of each drive ([`DriveStatus`]). It must
-//! never wait or read a clock.
+//! never wait or decide by a clock that it reads itself.
 
 mod goal;
 mod status;
@@ -16,7 +16,7 @@ pub use status::{DriveStatus, Goal, Phase, Progress};
 use goal::{indices, reached};
 use status::Slot;
 
-use super::config::{MasterConfig, Order, SetupError};
+use super::config::{DRIVES_MAX, MasterConfig, Order, SetupError};
 use super::cyclic::{Address, CycleWriter, Decoder, Shared};
 use super::fault::{DriveFault, Fault};
 use super::objects::decode_tpdo1;
@@ -27,7 +27,7 @@ use crate::canopen::cob::{SDO_REQUEST, frame};
 use crate::canopen::{Emergency, Message, NmtCommand, NmtState};
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Faults kept; older ones are dropped first and counted.
 pub const FAULTS_MAX: usize = 512;
@@ -36,6 +36,10 @@ pub const EMERGENCIES_MAX: usize = 16;
 /// Frames served by one [`Master::pump`], so that it has an end on a busy bus.
 const FRAMES_PER_PUMP: usize = 1024;
 
+/// Frames that wait for a bus that takes none: more than all drives of one together want to be told at once. Older ones
+/// are dropped first and counted.
+const OUTBOX_MAX: usize = 4 * DRIVES_MAX;
+
 /// Boot-ups accepted between the reset and the end of configuration.
 const BOOTS_MAX: u32 = 3;
 
@@ -43,7 +47,9 @@ const BOOTS_MAX: u32 = 3;
 pub struct Master {
     config: MasterConfig,
     buses: Vec<Box<dyn CanBus>>,
+    /// By bus: what it has not taken yet. The queue of the handle is not used: what lies there could not be given up.
     outbox: Vec<VecDeque<Frame>>,
+    outbox_dropped: Vec<u64>,
     slots: Vec<Slot>,
     addresses: Vec<Address>,
     shared: Arc<Shared>,
@@ -75,17 +81,14 @@ impl Master {
                 torque_permille_max: i16::try_from(d.torque_permille_max).unwrap_or(i16::MAX),
             })
             .collect();
-        let shared = Arc::new(Shared {
-            controlwords: addresses.iter().map(|_| AtomicU16::new(0)).collect(),
-            cycle: AtomicU64::new(0),
-            unsent: buses.iter().map(|_| AtomicU64::new(0)).collect(),
-        });
+        let shared = Arc::new(Shared::new(addresses.len(), buses.len()));
         let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
         let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
         let writer = CycleWriter::new(handles, addresses.clone(), layouts, shared.clone());
         Ok(Self {
-            outbox: buses.iter().map(|_| VecDeque::with_capacity(256)).collect(),
+            outbox: buses.iter().map(|_| VecDeque::with_capacity(OUTBOX_MAX)).collect(),
+            outbox_dropped: vec![0; buses.len()],
             slots: addresses.iter().map(|_| Slot::new()).collect(),
             zeros: vec![0; addresses.len()],
             writer: Some(writer),
@@ -123,8 +126,13 @@ impl Master {
         self.writer = Some(writer);
     }
 
-    /// Starts from scratch: every drive is reset, configured and made operational. The goal becomes disabled.
+    /// Starts from scratch: every drive is reset, configured and made operational. The goal becomes disabled. What a bus
+    /// has not taken of the start before is given up: a drive that hears again must not be reset once for each.
     pub fn start(&mut self, now_ns: u64) {
+        for (outbox, dropped) in self.outbox.iter_mut().zip(&mut self.outbox_dropped) {
+            *dropped += outbox.len() as u64;
+            outbox.clear();
+        }
         self.goal = Goal::Disabled;
         self.started = true;
         self.heartbeat_due_ns = now_ns;
@@ -175,6 +183,12 @@ impl Master {
         self.shared.unsent.get(bus).map_or(0, |n| n.load(Ordering::Relaxed))
     }
 
+    /// Frames of the master's own (NMT, SDO, heartbeat) that were given up because the bus did not take them in time. 0 for
+    /// a bus that there is not.
+    pub fn given_up(&self, bus: usize) -> u64 {
+        self.outbox_dropped.get(bus).copied().unwrap_or(0)
+    }
+
     /// Faults since the last call, oldest first.
     pub fn take_faults(&mut self) -> Vec<DriveFault> {
         self.faults.drain(..).collect()
@@ -202,6 +216,10 @@ impl Master {
     }
 
     fn send(&mut self, bus: usize, frame: Frame) {
+        if self.outbox[bus].len() == OUTBOX_MAX {
+            self.outbox[bus].pop_front();
+            self.outbox_dropped[bus] += 1;
+        }
         self.outbox[bus].push_back(frame);
     }
 
@@ -251,7 +269,9 @@ impl Master {
             }
             _ => {
                 if let Some((word, ..)) = decode_tpdo1(data) {
-                    self.slots[i].status.statusword = Some(word);
+                    let slot = &mut self.slots[i];
+                    slot.status.statusword = Some(word);
+                    (slot.feedback_ns, slot.feedback_cycle) = (now_ns, self.shared.cycle.load(Ordering::Acquire));
                 }
             }
         }
@@ -347,6 +367,9 @@ impl Master {
     fn flush(&mut self) {
         for (bus, outbox) in self.buses.iter_mut().zip(&mut self.outbox) {
             while let Some(f) = outbox.front() {
+                if bus.flush() > 0 {
+                    break;
+                }
                 match bus.send(f) {
                     Err(crate::can::SendError::Full) => break,
                     // What a bus that is down refuses would be stale when it is back: time-outs take care of it.
@@ -361,7 +384,10 @@ impl Master {
             self.heartbeat_due_ns = now_ns + u64::from(self.config.heartbeat_ms) * 1_000_000;
             let beat = NmtState::Operational.heartbeat(self.config.node);
             for bus in 0..self.buses.len() {
-                self.send(bus, beat);
+                // One that still waits says the same.
+                if !self.outbox[bus].contains(&beat) {
+                    self.send(bus, beat);
+                }
             }
         }
     }

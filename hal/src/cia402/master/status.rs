@@ -94,6 +94,9 @@ pub(super) struct Slot {
     pub(super) since_ns: u64,
     pub(super) heartbeat_ns: Option<u64>,
     pub(super) heartbeat_lost: bool,
+    /// When the last statusword came (ns), and in which cycle.
+    pub(super) feedback_ns: u64,
+    pub(super) feedback_cycle: u64,
     /// State wanted next.
     pub(super) wanted: Option<State>,
     /// Transitions were given up until the goal is set anew.
@@ -124,6 +127,8 @@ impl Slot {
             since_ns: 0,
             heartbeat_ns: None,
             heartbeat_lost: false,
+            feedback_ns: 0,
+            feedback_cycle: 0,
             wanted: None,
             stuck: false,
             was_enabled: false,

@@ -41,6 +41,10 @@ impl ObjectAccess for Objects<'_> {
     fn check_write(&mut self, index: u16, sub: u8) -> Result<(), AbortCode> {
         self.dictionary.check_write(index, sub)
     }
+
+    fn length(&self, index: u16, sub: u8) -> Option<usize> {
+        self.dictionary.description(index, sub)?.data_type.size()
+    }
 }
 
 impl Objects<'_> {

@@ -124,10 +124,15 @@ impl Drive {
         self.restart(0x1000..=0x9fff);
     }
 
-    /// A fault of the device itself (over-current, sensor, ...): power is cut at once.
+    /// A fault of the device itself (over-current, sensor, ...): power is cut at once, that of the reaction to another fault
+    /// too.
     pub fn trip(&mut self, error_code: u16, error_register: u8, now_ns: u64) {
         self.now_ns = now_ns;
+        (self.torque, self.fault_torque) = (0.0, 0.0);
         self.fault(error_code, error_register, 0.0, [0; 5]);
+        // In a reaction that was under way: it has ended.
+        self.slope(0);
+        self.refresh_state_objects();
     }
 
     /// Start after power-up or reset of the indices given.
@@ -207,7 +212,7 @@ impl Drive {
 
     /// What object 6007 wants when the connection is gone. The emergency object is sent in any case.
     fn abort_connection(&mut self, error_code: u16, data: [u8; 5]) {
-        let safe = self.dictionary.int(o::GUARD, 2) as f64;
+        let safe = self.within_limit(o::GUARD, 2);
         match self.dictionary.int(o::ABORT_CONNECTION, 0) {
             1 => return self.fault(error_code, register::COMMUNICATION, safe, data),
             2 => self.command(Command::DisableVoltage),
@@ -226,9 +231,6 @@ impl Drive {
         let powered = matches!(self.state, State::OperationEnabled | State::QuickStopActive);
         self.state = State::FaultReactionActive;
         self.fault_torque = if powered { torque } else { 0.0 };
-        if error_register & register::COMMUNICATION == 0 {
-            self.torque = 0.0; // the device itself failed: no slope
-        }
         self.traffic.drop_waiting();
         self.dictionary.set_int(o::ERROR_CODE, 0, error_code.into());
         self.slope(0);
@@ -317,8 +319,13 @@ impl Drive {
         if self.dictionary.int(o::MODE, 0) != i64::from(o::MODE_CST) {
             return 0.0;
         }
+        self.within_limit(o::TARGET_TORQUE, 0)
+    }
+
+    /// A torque of the dictionary within the limit (per mille).
+    fn within_limit(&self, index: u16, sub: u8) -> f64 {
         let limit = self.dictionary.int(o::MAX_TORQUE, 0);
-        self.dictionary.int(o::TARGET_TORQUE, 0).clamp(-limit, limit) as f64
+        self.dictionary.int(index, sub).clamp(-limit, limit) as f64
     }
 
     fn refresh_state_objects(&mut self) {
