@@ -176,6 +176,29 @@ fn ctrl_c_stops_everything_in_order() {
 }
 
 #[test]
+fn an_interrupted_run_is_judged_up_to_the_interruption() {
+    let demo = Demo::start(&["tip", "--fast", "--json"]);
+    let deadline = Instant::now() + WAIT;
+    // Past the approach of 4 s, whatever the machine does meanwhile, and far from the end at 100 s: 3 kB a tick.
+    while std::fs::metadata(demo.folder.path().join("daemon.mcap")).map_or(0, |m| m.len()) < 2_500_000 {
+        assert!(Instant::now() < deadline, "the daemon does not record");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    kill_process(Pid::from_child(&demo.child), Signal::INT).unwrap();
+    let (output, folder) = demo.end();
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+    assert!(text(&output).contains("interrupted after"), "{}", text(&output));
+    // The arm went limp behind the ramp of the stop, which is in the recording and not in the judgement.
+    assert!(told(folder.path()).iter().any(|t| t.mode == SupervisorState::Stopping as u64));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(object["ticks"].as_u64() > Some(100), "{object}");
+    assert!(object["tip_error_m"]["norm_max"].as_f64() < Some(0.02), "{object}");
+    for obstacle in object["obstacles"].as_array().unwrap() {
+        assert_eq!(obstacle["inside_s"], serde_json::json!([]), "{object}");
+    }
+}
+
+#[test]
 fn a_demo_that_is_killed_takes_its_processes_along() {
     let mut demo = Demo::start(&["tip", "--duration", "60"]);
     demo.until_it_runs();

@@ -1,6 +1,6 @@
 //! `sinew run`: the daemon.
 
-use super::Outcome;
+use super::{Outcome, complain};
 use clap::Args;
 use miette::IntoDiagnostic;
 use sinew::config::Config;
@@ -74,20 +74,21 @@ impl Run {
         let daemon = match Daemon::start(&config, &options) {
             Ok(daemon) => daemon,
             Err(error) => {
-                eprintln!("sinew run: {error}");
+                complain(format_args!("sinew run: {error}"));
                 return Ok(Outcome::Unusable);
             }
         };
-        eprintln!("sinew: arm \"{}\", {} ms period; stop with Ctrl-C", config.ipc.arm, 1e3 * config.timing.period_s);
+        let period_ms = 1e3 * config.timing.period_s;
+        complain(format_args!("sinew: arm \"{}\", {period_ms} ms period; stop with Ctrl-C", config.ipc.arm));
         let mut heart = Heart::new();
         match daemon.wait(&stop, |ticks| heart.beat(ticks, stop.load(Ordering::Relaxed))) {
             Ok(Ending::Stopped) => Ok(Outcome::Done),
             Ok(Ending::Faulted) => {
-                eprintln!("sinew: stopped with a fault latched");
+                complain("sinew: stopped with a fault latched");
                 Ok(Outcome::Failed)
             }
             Err(error) => {
-                eprintln!("sinew run: {error}");
+                complain(format_args!("sinew run: {error}"));
                 Ok(Outcome::Failed)
             }
         }
