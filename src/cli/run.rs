@@ -3,8 +3,9 @@
 use super::{Outcome, complain};
 use clap::Args;
 use miette::IntoDiagnostic;
-use sinew::config::Config;
+use sinew::config::{BusKind, Config};
 use sinew::daemon::{AutoRequests, Daemon, Ending, Heart, LockstepOptions, Options};
+use sinew_hal::virtual_bus::{Claim, Role, claim};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -70,6 +71,16 @@ impl Run {
             ticks: self.ticks,
             around_tick: None,
             start_tensions_n: self.start_tensions,
+        };
+        let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
+        let claims: Result<Vec<Claim>, _> = virtual_buses.map(|bus| claim(&bus.interface, Role::Master)).collect();
+        // Before the daemon's first word on the bus, which resets the drives; held to the end.
+        let _claims = match claims {
+            Ok(claims) => claims,
+            Err(error) => {
+                complain(format_args!("sinew run: {error}"));
+                return Ok(Outcome::Unusable);
+            }
         };
         let daemon = match Daemon::start(&config, &options) {
             Ok(daemon) => daemon,
