@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     match cli::run(arguments) {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            eprintln!("{error:?}");
+            cli::complain(format_args!("{error:?}"));
             cli::Outcome::Unusable.into()
         }
     }

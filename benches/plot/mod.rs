@@ -35,7 +35,8 @@ pub fn machine() -> std::io::Result<String> {
 /// Writes lines below a comment that says where they come from.
 pub fn write(name: &str, machine: &str, lines: &[String]) -> std::io::Result<()> {
     let path = results(name);
-    std::fs::write(&path, format!("# {machine}\n{}\n", lines.join("\n")))?;
+    let bench = env!("CARGO_CRATE_NAME");
+    std::fs::write(&path, format!("# cargo bench --bench {bench}, {machine}\n{}\n", lines.join("\n")))?;
     println!("{}", path.display());
     Ok(())
 }
