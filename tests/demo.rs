@@ -176,6 +176,21 @@ fn ctrl_c_stops_everything_in_order() {
 }
 
 #[test]
+fn a_duration_beyond_the_scenarios_is_cut_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("short.toml");
+    let content = "name = \"short\"\nduration_s = 0.5\nweight_tension_change = [2e6, 2e6, 2e6, 2e6]\n\
+                [task]\nmode = \"shape\"\ncurvatures_1pm = [0.8, 0.8, -2.4, 0.0, -1.6, -2.4, -1.6, -2.4]\n\
+                weight_end = 1e10\n[start]\nkind = \"straight\"\n";
+    std::fs::write(&file, content).unwrap();
+    let (output, _folder) = Demo::start(&[file.to_str().unwrap(), "--fast", "--json", "--duration", "5"]).end();
+    assert!(output.status.success(), "{}", text(&output));
+    assert!(text(&output).contains("--duration 5: short ends after 0.5 s"), "{}", text(&output));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["ticks"], 50);
+}
+
+#[test]
 fn an_interrupted_run_is_judged_up_to_the_interruption() {
     let demo = Demo::start(&["tip", "--fast", "--json"]);
     let deadline = Instant::now() + WAIT;
