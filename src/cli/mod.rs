@@ -24,13 +24,15 @@ use std::process::ExitCode;
 const ENDINGS: &str = "\
 Exit codes:
   0  done
-  1  the run ended in a fault, in contact or before its time; the daemon refused, has a fault latched or is not there
+  1  the run ended in a fault, in contact or before its time;
+     the daemon refused, has a fault latched or is not there
   2  unusable arguments, configuration or files, or a part that broke
-Scenarios that are to go through obstacles (tip-no-avoidance, shape-no-avoidance, penalty-sweep, swarm-comparison) end
-with 0 wherever the arm is.
+`plan` ends with 0 wherever the arm is without avoidance (tip-no-avoidance,
+shape-no-avoidance) and in a series (penalty-sweep, swarm-comparison).
 
 Environment:
-  SINEW_LOG  what is logged to standard error: error, warn (default), info, debug, trace, or by module: sinew::daemon=debug";
+  SINEW_LOG  what is logged to standard error: error, warn (default), info,
+             debug, trace, or by module: sinew::daemon=debug";
 
 /// Real-time controller service for cable-driven multisegment continuum arms.
 #[derive(Debug, Parser)]
