@@ -11,9 +11,12 @@
 //! Times of the cycle are also told in processor time of the thread: on a machine that others use at the same time the
 //! wall clock measures their turns as well. The deadline is on the wall clock, as in the loop.
 //!
-//! `cargo bench --bench cycle` (about 20 s after building). A name as argument runs one part: `newton`,
-//! `swarm`, `safe`, `warning`, `pressed`.
+//! `cargo bench --bench cycle` (about 20 s after building) writes `benches/results/cycle.txt`. A name as argument runs one
+//! part and writes nothing: `newton`, `swarm`, `safe`, `warning`, `pressed`.
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench may panic and print
+
+#[path = "plot/mod.rs"]
+mod plot;
 
 use hdrhistogram::Histogram;
 use nalgebra::{Vector3, Vector4};
@@ -37,28 +40,55 @@ const TICKS: u64 = 10_000;
 const BUDGET: Duration = Duration::from_micros(800);
 const RESERVE: Duration = Duration::from_micros(60);
 
+/// The lines of a run: printed as they come, stored at the end.
+#[derive(Default)]
+struct Lines(Vec<String>);
+
+impl Lines {
+    fn say(&mut self, line: String) {
+        println!("{line}");
+        self.0.push(line);
+    }
+
+    fn times(&mut self, what: &str, h: &Histogram<u64>) {
+        let at = |q: f64| h.value_at_quantile(q) as f64 / 1e3;
+        self.say(format!(
+            "{what:34} p50 {:8.1} us   p99 {:8.1} us   p99.9 {:8.1} us   max {:8.1} us",
+            at(0.5),
+            at(0.99),
+            at(0.999),
+            h.max() as f64 / 1e3
+        ));
+    }
+}
+
 fn main() {
+    let machine = plot::machine().unwrap();
+    let mut lines = Lines::default();
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let runs = |name: &str| wanted.is_empty() || wanted.iter().any(|w| w == name);
     let file = |name: &str| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("config").join(name);
     let mut config = Config::load(&[file("arm.toml"), file("controller.toml"), file("drives.toml")]).unwrap();
     if runs("newton") {
-        newton(&config);
+        newton(&config, &mut lines);
     }
     if runs("swarm") {
-        swarm(&config);
+        swarm(&config, &mut lines);
     }
     if runs("safe") {
         let times = run(&config, 0, 0.02);
-        times.print("safe cycle");
+        times.print("safe cycle", &mut lines);
     }
     (config.planner.swarm.particles_normal, config.planner.swarm.particles_uniform) = (30, 10);
     for (name, what, sway_m) in [("warning", "warning cycle", 0.02), ("pressed", "warning cycle, pressed", 0.08)] {
         if runs(name) {
             let times = run(&config, 2, sway_m);
-            times.print(what);
-            times.print_warning();
+            times.print(what, &mut lines);
+            times.print_warning(&mut lines);
         }
+    }
+    if wanted.is_empty() {
+        plot::write("cycle.txt", &machine, &lines.0).unwrap();
     }
 }
 
@@ -66,19 +96,8 @@ fn histogram() -> Histogram<u64> {
     Histogram::new(3).unwrap()
 }
 
-fn line(what: &str, h: &Histogram<u64>) {
-    let at = |q: f64| h.value_at_quantile(q) as f64 / 1e3;
-    println!(
-        "{what:34} p50 {:8.1} us   p99 {:8.1} us   p99.9 {:8.1} us   max {:8.1} us",
-        at(0.5),
-        at(0.99),
-        at(0.999),
-        h.max() as f64 / 1e3
-    );
-}
-
 /// Linearise, factor, solve for all columns, apply: what one iterate of the planner costs before it optimises.
-fn newton(config: &Config) {
+fn newton(config: &Config, lines: &mut Lines) {
     let arm = Arm::new(&config.arm);
     let scheme = Scheme::new(config.arm.rho_inf);
     let rates = scheme.rates(config.planner.lookahead_s);
@@ -112,13 +131,13 @@ fn newton(config: &Config) {
         .iter()
         .zip(&parts)
     {
-        line(what, h);
+        lines.times(what, h);
     }
 }
 
 /// What one more evaluation of the swarm costs: two planners that differ in their sweeps alone, 43 particles near two
 /// balls; everything but the sweeps cancels in the difference.
-fn swarm(config: &Config) {
+fn swarm(config: &Config, lines: &mut Lines) {
     let arm = Arm::new(&config.arm);
     let state = State::at_rest(arm.bent(&[0.3, 0.2, -0.2, 0.1, 0.2, -0.3, 0.1, 0.2]));
     let tip = arm.tip(&state.q, &state.qd);
@@ -158,11 +177,11 @@ fn swarm(config: &Config) {
     };
     let ((few_s, few), (many_s, many)) = (measure(10), measure(110));
     let rate = (many - few) / (many_s - few_s);
-    println!(
+    lines.say(format!(
         "swarm, 43 particles, two balls      {:.2} million evaluations per second ({:.2} us each)",
         rate / 1e6,
         1e6 / rate
-    );
+    ));
 }
 
 /// A planner that the bench can look at between two ticks.
@@ -247,32 +266,32 @@ struct Times {
 }
 
 impl Times {
-    fn print(&self, what: &str) {
-        line(what, &self.cycle);
-        line("  in processor time", &self.processor);
-        line("  estimate", &self.estimate);
-        line("  plan", &self.plan);
-        line("  guard", &self.guard);
+    fn print(&self, what: &str, lines: &mut Lines) {
+        lines.times(what, &self.cycle);
+        lines.times("  in processor time", &self.processor);
+        lines.times("  estimate", &self.estimate);
+        lines.times("  plan", &self.plan);
+        lines.times("  guard", &self.guard);
     }
 
-    fn print_warning(&self) {
+    fn print_warning(&self, lines: &mut Lines) {
         let t = &self.tally;
-        println!(
+        lines.say(format!(
             "  within {} us: {:.3} % of {TICKS} ticks, {:.3} % in processor time; warning branch in {:.1} %; budget spent in {:.2} %",
             BUDGET.as_micros(),
             100.0 * self.within as f64 / TICKS as f64,
             100.0 * self.processor_within as f64 / TICKS as f64,
             100.0 * t.warning as f64 / t.plans as f64,
             100.0 * t.spent as f64 / t.plans as f64,
-        );
-        println!(
+        ));
+        lines.say(format!(
             "  per tick: {:.2} Newton iterations with {:.2} of the complementarity problem, {:.1} sweeps, {:.0} evaluations; {} answers, none worse than a seed",
             t.iterations as f64 / t.plans as f64,
             t.solver_iterations as f64 / t.plans as f64,
             t.sweeps as f64 / t.plans as f64,
             t.evaluations as f64 / t.plans as f64,
             t.judged,
-        );
+        ));
     }
 }
 

@@ -136,6 +136,7 @@ fn sweep(what: &str, sizes: &[(usize, ArmConfig)], rows: &mut Vec<String>) {
 }
 
 fn main() {
+    let machine = plot::machine().unwrap();
     let mut rows = Vec::new();
     let nodes: Vec<(usize, ArmConfig)> =
         [5, 10, 20, 40, 60, 100, 140, 200].iter().map(|&n| (n, arm_config(&over_four(n), 6))).collect();
@@ -178,5 +179,5 @@ fn main() {
     }
     plot::chart("scale-obstacles.svg", "Time over obstacles (none at 0.5)", "obstacles", "median time (us)", &lines)
         .unwrap();
-    plot::write_csv("scale.csv", "sweep,size,part,median_us", &rows).unwrap();
+    plot::write_csv("scale.csv", &machine, "sweep,size,part,median_us", &rows).unwrap();
 }

@@ -1,8 +1,8 @@
 //! `sinew`: the command line. Exit codes: 0 done, 1 the run ended in a fault or contact, 2 unusable arguments or
 //! configuration, 70 a defect of this program (a thread panicked; 101 where it was the main thread).
-#![allow(clippy::print_stdout)] // the one place whose output is for people and pipes
 
 use clap::Parser;
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 mod cli;
@@ -15,11 +15,12 @@ fn main() -> ExitCode {
                 .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
         )
         .with_writer(cli::log::writer)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
     match cli::run(arguments) {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            eprintln!("{error:?}");
+            cli::complain(format_args!("{error:?}"));
             cli::Outcome::Unusable.into()
         }
     }

@@ -2,10 +2,23 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
 
 use serde_json::Value;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 fn sinew(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sinew")).args(arguments).output().unwrap()
+}
+
+/// The same with standard output and standard error elsewhere; the exit code.
+fn sinew_into(arguments: &[&str], stdout: Stdio, stderr: Stdio) -> Option<i32> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+    command.args(arguments).stdout(stdout).stderr(stderr).status().unwrap().code()
+}
+
+/// The writing end of a pipe that nobody reads any more.
+fn closed_pipe() -> Stdio {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    writer.into()
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -127,11 +140,119 @@ fn a_recording_of_a_plan_holds_every_step() {
 
 #[test]
 fn the_built_in_files_pass_the_check() {
-    let root = env!("CARGO_MANIFEST_DIR");
-    let files = ["arm", "controller", "drives"].map(|f| format!("{root}/config/{f}.toml"));
+    let files = ["arm", "controller", "drives"].map(shipped);
     let output = sinew(&["check", "--config", &files[0], &files[1], &files[2]]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let output = sinew(&["check", "--config", &files[0], "/nonexistent.toml"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(text(&output.stderr).contains("/nonexistent.toml"));
+}
+
+fn shipped(name: &str) -> String {
+    format!("{}/config/{name}.toml", env!("CARGO_MANIFEST_DIR"))
+}
+
+#[test]
+fn a_reader_that_has_gone_is_no_error_and_a_full_disk_is_one() {
+    let (_directory, path) = file("short.toml", SHORT);
+    let check = ["check", "--config", &shipped("arm"), &shipped("controller"), &shipped("drives")];
+    for arguments in [&["plan", path.as_str()][..], &["plan", &path, "--json"], &check] {
+        assert_eq!(sinew_into(arguments, closed_pipe(), Stdio::null()), Some(0), "{arguments:?}");
+        let full = std::fs::File::create("/dev/full").unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+        let output = command.args(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let message = text(&output.stderr);
+        assert!(message.contains("standard output") && message.contains("No space left"), "{message}");
+    }
+    // What is said aside may go nowhere, too.
+    assert_eq!(sinew_into(&["target", "--pose", "1"], Stdio::null(), closed_pipe()), Some(2));
+}
+
+#[test]
+fn what_would_have_no_effect_is_refused() {
+    for (arguments, word) in [
+        (&["plan", "swarm-comparison", "--warning", "complementarity"][..], "variations"),
+        (&["plan", "tip-no-avoidance", "--warning", "swarm"], "avoids nothing"),
+        (&["demo", "shape-no-avoidance", "--fast", "--warning", "swarm"], "avoids nothing"),
+        (&["demo", "penalty-sweep", "--fast"], "5 variations"),
+        (&["demo", "tip", "--fast", "--duration", "nan"], "above 0 s"),
+        (&["demo", "tip", "--fast", "--duration=-1"], "above 0 s"),
+        (&["demo", "tip", "--fast", "--kill-obstacle-client-at", "nan"], "above 0 s"),
+        (&["demo", "tip", "--fast", "--duration", "1", "--kill-obstacle-client-at", "2"], "ends before"),
+    ] {
+        let output = sinew(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(text(&output.stderr).contains(word), "{arguments:?}: {}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn a_message_names_the_path_and_its_cause_once() {
+    let (_directory, path) = file("short.toml", SHORT);
+    for (arguments, named) in [
+        (&["plan", path.as_str(), "--out", "/nonexistent/run.mcap"][..], "/nonexistent/run.mcap"),
+        (&["demo", "tip", "--fast", "--keep", "/proc/nonexistent"], "--keep /proc/nonexistent"),
+    ] {
+        let output = sinew(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let message = text(&output.stderr);
+        assert!(message.contains(named), "{message}");
+        assert_eq!(message.matches("No such file").count(), 1, "{message}");
+    }
+    let message = text(&sinew(&["target"]).stderr);
+    assert!(message.contains("--pose") && message.contains("--curvatures"), "{message}");
+}
+
+#[test]
+fn a_check_warns_of_what_is_permitted_and_will_not_do() {
+    let change = |name: &str, from: &str, to: &str| {
+        let content = std::fs::read_to_string(shipped(name)).unwrap();
+        assert!(content.contains(from), "{name} has no {from}");
+        file(&format!("{name}.toml"), &content.replacen(from, to, 1))
+    };
+    let (_a, arm) = change("arm", "damping_stiffness_s = 0.05", "damping_stiffness_s = 0.0");
+    let (_c, controller) = change("controller", "# cpu = 1", "cpu = 1023");
+    let output = sinew(&["check", "--config", &arm, &controller, &shipped("drives"), &shipped("plant")]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let warnings = text(&output.stderr);
+    for part in ["segment 4: damping_stiffness_s = 0 s", "loop.cpu = 1023"] {
+        assert!(warnings.contains(part), "{part} is missing in {warnings}");
+    }
+    assert!(text(&output.stdout).contains("plant.toml is sim_plant's"), "{}", text(&output.stdout));
+    let files = [shipped("arm"), shipped("controller"), shipped("drives")];
+    let output = sinew(&["check", "--config", &files[0], &files[1], &files[2]]);
+    assert_eq!(text(&output.stderr), "");
+    assert!(!text(&output.stdout).contains("not checked"));
+}
+
+/// Names of all fields of an object, and of those below it.
+fn fields(value: &Value, found: &mut std::collections::BTreeSet<String>) {
+    match value {
+        Value::Object(object) => {
+            for (key, below) in object {
+                // Cables are named by their numbers.
+                found.extend((!key.contains(',')).then(|| key.clone()));
+                fields(below, found);
+            }
+        }
+        Value::Array(array) => array.iter().for_each(|below| fields(below, found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn every_field_of_the_json_is_documented() {
+    let document = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/src/report/SCRIPTS.md")).unwrap();
+    let content = format!(
+        "{SHORT}\n[[obstacles]]\nid = \"beside\"\nshape = \"ball\"\nradius_m = 0.1\nposition_m = [0.102, 0.0, -1.5]\n"
+    );
+    let (_directory, path) = file("beside.toml", &content);
+    let output = sinew(&["plan", &path, "--warning", "swarm", "--json"]);
+    let mut found = std::collections::BTreeSet::new();
+    fields(&serde_json::from_slice(&output.stdout).unwrap(), &mut found);
+    assert!(found.contains("evaluations_per_s") && found.contains("inside_s"), "{found:?}");
+    for field in &found {
+        assert!(document.contains(&format!("`{field}`")), "{field} is not in src/report/SCRIPTS.md");
+    }
 }

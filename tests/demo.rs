@@ -176,6 +176,44 @@ fn ctrl_c_stops_everything_in_order() {
 }
 
 #[test]
+fn a_duration_beyond_the_scenarios_is_cut_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("short.toml");
+    let content = "name = \"short\"\nduration_s = 0.5\nweight_tension_change = [2e6, 2e6, 2e6, 2e6]\n\
+                [task]\nmode = \"shape\"\ncurvatures_1pm = [0.8, 0.8, -2.4, 0.0, -1.6, -2.4, -1.6, -2.4]\n\
+                weight_end = 1e10\n[start]\nkind = \"straight\"\n";
+    std::fs::write(&file, content).unwrap();
+    let (output, _folder) = Demo::start(&[file.to_str().unwrap(), "--fast", "--json", "--duration", "5"]).end();
+    assert!(output.status.success(), "{}", text(&output));
+    assert!(text(&output).contains("--duration 5: short ends after 0.5 s"), "{}", text(&output));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["ticks"], 50);
+}
+
+#[test]
+fn an_interrupted_run_is_judged_up_to_the_interruption() {
+    let demo = Demo::start(&["tip", "--fast", "--json"]);
+    let deadline = Instant::now() + WAIT;
+    // Past the approach of 4 s, whatever the machine does meanwhile, and far from the end at 100 s: 3 kB a tick.
+    while std::fs::metadata(demo.folder.path().join("daemon.mcap")).map_or(0, |m| m.len()) < 2_500_000 {
+        assert!(Instant::now() < deadline, "the daemon does not record");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    kill_process(Pid::from_child(&demo.child), Signal::INT).unwrap();
+    let (output, folder) = demo.end();
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+    assert!(text(&output).contains("interrupted after"), "{}", text(&output));
+    // The arm went limp behind the ramp of the stop, which is in the recording and not in the judgement.
+    assert!(told(folder.path()).iter().any(|t| t.mode == SupervisorState::Stopping as u64));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(object["ticks"].as_u64() > Some(100), "{object}");
+    assert!(object["tip_error_m"]["norm_max"].as_f64() < Some(0.02), "{object}");
+    for obstacle in object["obstacles"].as_array().unwrap() {
+        assert_eq!(obstacle["inside_s"], serde_json::json!([]), "{object}");
+    }
+}
+
+#[test]
 fn a_demo_that_is_killed_takes_its_processes_along() {
     let mut demo = Demo::start(&["tip", "--duration", "60"]);
     demo.until_it_runs();

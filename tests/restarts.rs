@@ -91,6 +91,37 @@ fn a_killed_plant_is_a_lost_bus_and_the_arm_works_again_with_a_new_one() {
 }
 
 #[test]
+fn a_second_daemon_and_a_second_plant_on_one_bus_are_refused_and_harm_nothing() {
+    let place = Place::shipped();
+    let plant = Victim::plant(&place);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    place.until("holding", |s| s.mode == "holding");
+    // Another arm's daemon, as far as shared memory goes: only the bus is the same.
+    let others: Vec<_> = place.files.iter().filter(|file| !file.ends_with("arm.toml")).collect();
+    let arm = place.folder.path().join("another.toml");
+    let text = std::fs::read_to_string(place.folder.path().join("arm.toml")).unwrap();
+    std::fs::write(&arm, text.replace("\"paper\"", "\"another\"")).unwrap();
+    let second = Command::new(env!("CARGO_BIN_EXE_sinew"))
+        .args(["run", "--ticks", "1", "--config"])
+        .args(&others)
+        .arg(&arm)
+        .output()
+        .unwrap();
+    assert_eq!(second.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&second.stderr);
+    assert!(said.contains(&place.bus) && said.contains("commands its drives is already running"), "{said}");
+    let folder = Path::new(env!("CARGO_BIN_EXE_sinew")).parent().unwrap();
+    let second = Command::new(folder.join("sim_plant")).arg("--config").args(&place.files).output().unwrap();
+    assert_eq!(second.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&second.stderr).replace('\n', " ");
+    assert!(said.contains("stands for its drives"), "{said}");
+    // Before, both reset or answered for the drives of the first.
+    assert_eq!(place.status().unwrap().mode, "holding");
+    assert_eq!(daemon.terminate().0.code(), Some(0));
+    plant.kill();
+}
+
+#[test]
 fn a_killed_obstacle_client_leads_to_a_hold_and_a_new_one_lets_the_arm_track_again() {
     let place = Place::shipped();
     let plant = Victim::plant(&place);

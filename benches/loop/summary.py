@@ -4,6 +4,9 @@ import json
 import sys
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).resolve().parent.parent))
+import machine
+
 out, rates = Path(sys.argv[1]), [int(r) for r in sys.argv[2:]]
 #: Share of deadlines that may be missed.
 PERMITTED = {1000: 1e-3}
@@ -47,10 +50,11 @@ m = load("machine.json")
 lines += [
     "# The loop in real time, beside cyclictest",
     "",
-    f"`benches/loop/run` of commit {m['commit']} ({m['profile']} profile, {m['rustc']}): tip example, {m['seconds']:g} s, plant, "
+    f"`benches/loop/run` of commit {m['commit']}{machine.changed_note(m['commit'])} on {m['date']} ({m['profile']} profile, "
+    f"{m['rustc']}): tip example, {m['seconds']:g} s, plant, "
     f"clients and daemon on the virtual bus (four buses, CAN FD, packed), plant's mesh {m['plant_mesh_refinement']} times as fine.",
     f"{m['processor']}, {m['processors']} processors{' of a virtual machine' if m['hypervisor'] else ''}, Linux {m['kernel']} "
-    f"({m['preemption']}), load {m['load_before'][0]:.2f} before; control thread alone on processor {m['control_cpu']}, SCHED_FIFO 80.",
+    f"({m['preemption']}), load {m['load_average']:.2f} before; control thread alone on processor {m['control_cpu']}, SCHED_FIFO 80.",
     "Times in us.",
 ]
 for rate in rates:

@@ -2,23 +2,23 @@
 
 import argparse
 import csv
-import datetime
 import importlib.metadata
 import json
 import os
 import pathlib
 import platform
 import statistics
-import subprocess
 import sys
 import time
 
 # pyswarms writes a log where it is imported, CasADi's compiler where it is called: not into the checkout.
 STARTED_IN = pathlib.Path.cwd()
 os.chdir(os.environ.get("TMPDIR", "."))
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
+import machine
 import plants
 import report
 import safe_model
@@ -33,25 +33,10 @@ def say(text):
     print(f">> [{time.monotonic() - BEGIN:4.0f} s] {text}", flush=True)
 
 
-def command(*words):
-    try:
-        return subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
 def environment(quick):
-    cpu = next((l.split(":")[1].strip() for l in open("/proc/cpuinfo") if l.startswith("model name")), "unknown")
     pins = [l.split("==")[0] for l in (ROOT / "benches/peers/requirements.txt").read_text().splitlines() if "==" in l]
-    return {
-        "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+    return machine.describe() | {
         "quick": quick,
-        "processor": cpu,
-        "processors": os.cpu_count(),
-        "kernel": platform.release(),
-        "load_average_at_start": os.getloadavg()[0],
-        "sinew": command("git", "describe", "--always", "--dirty"),
-        "rustc": command("rustc", "--version"),
         "python": platform.python_version(),
         "packages": {name: importlib.metadata.version(name) for name in pins},
     }

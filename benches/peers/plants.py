@@ -100,7 +100,10 @@ def error(path, truth):
 
 
 def limits(driver, truth, quick):
-    """Each package's own limit under refinement (extrapolated), and its distance to the reference (m, max)."""
+    """Each package's own limit under refinement (extrapolated), and its distance to the reference (m, max).
+
+    A package that has no stable run on a mesh has no limit: `None`, and in `how` the mesh and the steps that were tried.
+    """
     out = {}
     meshes = (2, 4)
     arms = {k: driver.ask("arm", refinement=k) for k in meshes}
@@ -115,14 +118,33 @@ def limits(driver, truth, quick):
         "unextrapolated_rms_m,max_m": [error(fine[k], truth) for k in meshes],
     }
     if not quick:
-        paths = {k: plant_elastica.Plant(arms[k], 1.0).run(h)[0] for k, h in ((2, 5e-5), (4, 2e-5))}
-        if all(p is not None for p in paths.values()):
-            out["PyElastica"] = {
-                "how": "stretch 1, 10 and 20 elements a segment, extrapolated (second order in the mesh)",
-                "rms_m,max_m": error(paths[4] + (paths[4] - paths[2]) / 3, truth),
-                "unextrapolated_rms_m,max_m": [error(paths[k], truth) for k in (2, 4)],
-            }
+        out["PyElastica"] = elastica_limit(arms, truth)
     return out
+
+
+def elastica_limit(arms, truth):
+    """Of the rod that is not softened, on two meshes, each with the largest stable of the steps tried."""
+    steps = {2: (5e-5, 2.5e-5), 4: (1e-5, 5e-6)}
+    runs = {k: first_stable(plant_elastica.Plant(arm, 1.0), steps[k]) for k, arm in arms.items()}
+    milliseconds = lambda values: " and ".join(f"{h * 1e3:g}" for h in values)
+    unstable = [f"{5 * k} elements a segment unstable at {milliseconds(steps[k])} ms" for k in arms if runs[k] is None]
+    if unstable:
+        limit, how = None, ", ".join(unstable)
+    else:
+        (_, coarse), (_, fine) = runs[2], runs[4]
+        limit = fine + (fine - coarse) / 3
+        how = f"steps {milliseconds(h for h, _ in runs.values())} ms, 10 and 20 elements a segment, extrapolated (second order in the mesh)"
+    return {
+        "how": f"stretch 1, {how}",
+        "rms_m,max_m": error(limit, truth),
+        "unextrapolated_rms_m,max_m": [error(run and run[1], truth) for run in runs.values()],
+    }
+
+
+def first_stable(plant, steps_s):
+    """The largest of the steps that is stable, and the tip's path with it; `None` if none is."""
+    runs = ((h, plant.run(h)[0]) for h in steps_s)
+    return next(((h, path) for h, path in runs if path is not None), None)
 
 
 def own_limits(driver, quick):

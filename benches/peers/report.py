@@ -7,6 +7,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+import machine
 import plants
 
 COLOURS = {"sinew": "#c1121f", "MuJoCo": "#1d4e89", "PyElastica": "#4a7c59"}
@@ -60,7 +61,8 @@ def plant(out, data, lines):
     for name, p in data["peer_limits"].items():
         rms, most = p["rms_m,max_m"]
         meshes = ", ".join(millimetres(e[0]) for e in p["unextrapolated_rms_m,max_m"])
-        lines.append(f"| {name} | {millimetres(rms)} ({millimetres(most)}) | {meshes} | {p['how']} |")
+        own = "none" if rms is None else f"{millimetres(rms)} ({millimetres(most)})"
+        lines.append(f"| {name} | {own} | {meshes} | {p['how']} |")
     for key, heading, note in (
         ("rms_m", "At equal error", "Every setting of the peer that no other of its settings beats in both error and speed, "
          "and the fastest setting of sinew whose error is no larger (no interpolation)."),
@@ -235,11 +237,9 @@ def write(out, data):
     e = data["environment"]
     lines = [
         "# Beside its peers: what was measured", "",
-        f"Written by `benches/peers/run{' --quick' if e['quick'] else ''}` on {e['date']} in {e['seconds']:.0f} s; how and why: "
+        f"Written by `benches/peers/run{' --quick' if e['quick'] else ''}` in {e['seconds']:.0f} s; how and why: "
         "[README.md](../README.md). Do not edit.", "",
-        f"- {e['processor']}, {e['processors']} processors, Linux {e['kernel']}; load average {e['load_average_at_start']:.1f} at the "
-        f"start, {e['load_average_at_end']:.1f} at the end",
-        f"- sinew {e['sinew']}, {e['rustc']}",
+        f"- {machine.line(e)}, {e['load_average_at_end']:.2f} at the end",
         f"- Python {e['python']}: " + ", ".join(f"{n} {v}" for n, v in e["packages"].items()),
         "- one thread each; times are the processor time of the thread", "",
     ]

@@ -1,9 +1,10 @@
-//! Line charts with logarithmic axes as SVG, for the benches' results.
+//! What the benches leave in `results/`: tables, lines of text, and line charts with logarithmic axes as SVG.
 #![allow(dead_code)] // each bench uses its own part
 
 use plotters::prelude::*;
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// One line of a chart.
 pub struct Line {
@@ -16,12 +17,34 @@ pub fn results(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/results").join(name)
 }
 
-/// Writes text with the machine in its first line.
-pub fn write_csv(name: &str, header: &str, rows: &[String]) -> std::io::Result<()> {
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let cpu = text.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.to_owned()));
-    let cpu = cpu.unwrap_or_else(|| "an unknown processor".to_owned());
-    std::fs::write(results(name), format!("# {cpu}\n{header}\n{}\n", rows.join("\n")))
+/// Commit, date, compiler and machine in a line, as `benches/machine.py` describes them for all benches: asked for at the
+/// start of a bench, whose own load comes after.
+///
+/// # Errors
+/// There is no python3: a result of which nobody knows where it comes from is not worth writing.
+pub fn machine() -> std::io::Result<String> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/machine.py");
+    let output = Command::new("python3").arg(script).arg("--line").output()?;
+    let text = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    if !output.status.success() || text.is_empty() {
+        return Err(std::io::Error::other("benches/machine.py failed"));
+    }
+    Ok(if cfg!(debug_assertions) { format!("{text}; with debug assertions, so no measurement") } else { text })
+}
+
+/// Writes lines below a comment that says where they come from.
+pub fn write(name: &str, machine: &str, lines: &[String]) -> std::io::Result<()> {
+    let path = results(name);
+    let bench = env!("CARGO_CRATE_NAME");
+    std::fs::write(&path, format!("# cargo bench --bench {bench}, {machine}\n{}\n", lines.join("\n")))?;
+    println!("{}", path.display());
+    Ok(())
+}
+
+/// The same for rows below their header.
+pub fn write_csv(name: &str, machine: &str, header: &str, rows: &[String]) -> std::io::Result<()> {
+    let lines: Vec<String> = std::iter::once(header.to_owned()).chain(rows.iter().cloned()).collect();
+    write(name, machine, &lines)
 }
 
 /// A chart with both axes logarithmic.

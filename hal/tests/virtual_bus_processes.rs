@@ -10,7 +10,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use sinew_hal::can::{CanBus, Frame, Id};
-use sinew_hal::virtual_bus::{VirtualBus, path_of};
+use sinew_hal::virtual_bus::{Role, VirtualBus, claim, path_of};
 
 const WAIT: Duration = Duration::from_secs(20);
 
@@ -59,6 +59,11 @@ fn child() {
                 }
                 bus.send(&r.frame).unwrap();
             }
+        }
+        "master" => {
+            let _claim = claim(&name, Role::Master).unwrap();
+            println!("claimed");
+            assert_eq!(bus.receive(WAIT), Ok(None));
         }
         "open-and-close" => {
             drop(bus);
@@ -157,4 +162,24 @@ fn processes_that_open_and_close_at_once_never_get_in_each_others_way() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
     }
     assert!(!path_of(&name).unwrap().exists(), "the last handle did not remove the file");
+}
+
+#[test]
+fn a_bus_has_one_master_at_a_time_and_a_killed_one_is_none() {
+    let name = bus_name("claim");
+    let mut child = start("master", &name);
+    let mut output = ready(&mut child);
+    assert!(output.any(|line| line.contains("claimed")));
+    let refused = claim(&name, Role::Master).err().expect("there is a master").to_string();
+    assert!(refused.contains(&name) && refused.contains("commands its drives is already running"), "{refused}");
+    // The other role is another's, and using the bus needs none.
+    let drives = claim(&name, Role::Drives).unwrap();
+    assert!(claim(&name, Role::Drives).is_err());
+    drop(drives);
+    assert!(claim(&name, Role::Drives).is_ok());
+    VirtualBus::open(&name, false).unwrap().send(&frame(1, 1)).unwrap();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(claim(&name, Role::Master).is_ok());
+    assert!(!path_of(&name).unwrap().exists());
 }

@@ -11,10 +11,12 @@ use sim_plant::rig::{Rig, Start};
 use sim_plant::server::Server;
 use sim_plant::trace::Trace;
 use sim_plant::wire::WireFault;
-use sinew::config::{Config, ScenarioConfig};
+use sinew::config::{BusKind, Config, ScenarioConfig};
 use sinew::model::Arm;
 use sinew::scenario::Course;
+use sinew_hal::virtual_bus::{Claim, Role, claim};
 use std::io::Write;
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -65,10 +67,11 @@ fn main() -> ExitCode {
                 .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
         )
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
     let stop = Arc::new(AtomicBool::new(false));
     let prepared = prepare(&arguments, &stop);
-    match prepared.map(|(server, _socketcand)| server.run(&stop)) {
+    match prepared.map(|(server, _socketcand, _claims)| server.run(&stop)) {
         Ok(Ok(served)) => {
             tracing::info!(?served, "stopped");
             if served.late > 0 || served.given_up_ns > 0 || served.dropped > 0 || served.untraced > 0 {
@@ -96,7 +99,7 @@ fn main() -> ExitCode {
 
 type Socketcand = Option<sinew_hal::socketcand::Server>;
 
-fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Server, Socketcand)> {
+fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Server, Socketcand, Vec<Claim>)> {
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
     }
@@ -107,6 +110,9 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Ser
     if let Some(seed) = arguments.seed {
         plant.truth.seed = seed;
     }
+    let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
+    let claims: Result<_, _> = virtual_buses.map(|bus| claim(&bus.interface, Role::Drives)).collect();
+    let claims = claims.into_diagnostic()?;
     let start = start(arguments, &config)?;
     // Commands late by a tick: in lockstep the arm advances once per tick, in real time step by step.
     let steps_per_tick = match plant.pace {
@@ -138,7 +144,7 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Ser
     println!("sim_plant: {} drives on {}", config.drives.drives.len(), buses.join(", "));
     // Whoever waits for the line reads a pipe, and a pipe is not flushed at the end of a line.
     std::io::stdout().flush().into_diagnostic()?;
-    Ok((server, socketcand))
+    Ok((server, socketcand, claims))
 }
 
 fn start(arguments: &Arguments, config: &Config) -> miette::Result<Start> {

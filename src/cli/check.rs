@@ -1,11 +1,11 @@
 //! `sinew check`.
 
-use super::Outcome;
+use super::{Outcome, complain, print_text};
 use clap::Args;
 use comfy_table::Table;
 use sinew::config::Config;
 use sinew::daemon;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `sinew check`.
 #[derive(Debug, Args)]
@@ -32,13 +32,35 @@ impl Check {
             );
             table.add_row([format!("load {}", load.name), value]);
         }
-        println!("{}", table.trim_fmt());
+        for file in self.config.iter().filter(|file| holds_plant(file)) {
+            let value = format!("[plant] of {} is sim_plant's, which checks it when it starts", file.display());
+            table.add_row(["not checked", &value]);
+        }
+        print_text(&format!("{}\n", table.trim_fmt()))?;
+        for warning in config.warnings().into_iter().chain(absent_processor(&config)) {
+            complain(format_args!("sinew check: warning: {warning}"));
+        }
         match daemon::check(&config) {
             Ok(_) => Ok(Outcome::Done),
             Err(error) => {
-                eprintln!("sinew check: {error}");
+                complain(format_args!("sinew check: {error}"));
                 Ok(Outcome::Unusable)
             }
         }
     }
+}
+
+/// Whether a file that has been read before holds the table that is not the daemon's.
+fn holds_plant(file: &Path) -> bool {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    text.parse::<toml::Table>().is_ok_and(|tables| tables.contains_key("plant"))
+}
+
+/// The control thread's processor, where this machine does not have it. The configuration may be another machine's.
+fn absent_processor(config: &Config) -> Option<String> {
+    let processors = Path::new("/sys/devices/system/cpu");
+    let cpu = config.timing.cpu?;
+    let is_absent = processors.is_dir() && !processors.join(format!("cpu{cpu}")).exists();
+    let then = if config.timing.require_realtime { "does not start here" } else { "runs here without it" };
+    is_absent.then(|| format!("loop.cpu = {cpu}: this machine has no such processor; the daemon {then}"))
 }

@@ -1,6 +1,6 @@
 //! What the commands that talk to a running daemon have in common.
 
-use super::Outcome;
+use super::{Outcome, complain, print_text};
 use clap::Args;
 use miette::IntoDiagnostic;
 use sinew::config::Config;
@@ -42,15 +42,15 @@ impl Which {
 
 /// Says why there is no connection.
 pub(crate) fn not_connected(error: &IpcError) -> Outcome {
-    eprintln!("sinew: {error}");
+    complain(format_args!("sinew: {error}"));
     Outcome::Failed
 }
 
 /// Says how the daemon answered.
-pub(crate) fn say(asked: &str, response: &Response) -> Outcome {
+pub(crate) fn say(asked: &str, response: &Response) -> miette::Result<Outcome> {
     if response.is_accepted() {
-        println!("{asked}: {}", response.text());
-        return Outcome::Done;
+        print_text(&format!("{asked}: {}\n", response.text()))?;
+        return Ok(Outcome::Done);
     }
     let reason = RefusalReason::from_wire(response.reason);
     let why = match reason {
@@ -58,11 +58,11 @@ pub(crate) fn say(asked: &str, response: &Response) -> Outcome {
         Some(RefusalReason::BadTarget) | None => response.text(),
         Some(reason) => daemon::refusal_text(reason, response.detail),
     };
-    eprintln!("{asked} refused: {why}");
+    complain(format_args!("{asked} refused: {why}"));
     if let Some(fault) = daemon::status::fault_status(response.fault_code, response.fault_detail, None) {
-        eprintln!("fault {}: {}; {}", fault.code, fault.what, fault.clears);
+        complain(format_args!("fault {}: {}; {}", fault.code, fault.what, fault.clears));
     }
-    Outcome::Failed
+    Ok(Outcome::Failed)
 }
 
 /// A list of numbers separated by commas, as an argument.

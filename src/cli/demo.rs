@@ -9,8 +9,8 @@ mod children;
 mod judge;
 mod setup;
 
-use super::Outcome;
 use super::scenario_client::approach_s;
+use super::{Outcome, complain, print_json, print_text};
 use children::{Children, Ended};
 use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, miette};
@@ -57,7 +57,7 @@ pub(crate) struct Demo {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Seconds of the scenario to run; default: all.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = super::positive_seconds)]
     duration: Option<f64>,
     /// What plans near obstacles; default: the configuration's.
     #[arg(long)]
@@ -73,7 +73,7 @@ pub(crate) struct Demo {
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
     /// Kill the obstacle client (SIGKILL) at this time of the scenario.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = super::positive_seconds)]
     kill_obstacle_client_at: Option<f64>,
     /// Break something in the plant: stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS since the drives came
     /// up].
@@ -92,7 +92,7 @@ enum Ending {
     Done,
     /// A signal.
     Interrupted,
-    /// A fault is latched, or the arm stopped tracking for good.
+    /// A fault is latched, or somebody told the arm to stop.
     Stopped,
 }
 
@@ -112,25 +112,25 @@ impl Demo {
         let judged = judge::judge(&setup, self.fast)?;
         let summary = &judged.summary;
         if self.json {
-            println!("{}", serde_json::to_string_pretty(summary).into_diagnostic()?);
+            print_json(summary)?;
         } else {
-            println!("{}", summary_table(summary));
-            println!("{}", figures_table(&setup.scenario.figures, summary));
+            print_text(&format!("{}\n{}\n", summary_table(summary), figures_table(&setup.scenario.figures, summary)))?;
         }
         match ending {
             Ending::Interrupted => {
-                eprintln!("interrupted after {:.1} s of {} s", judged.reached_s, setup.duration_s);
+                complain(format_args!("interrupted after {:.1} s of {} s", judged.reached_s, setup.duration_s));
                 Ok(Outcome::Failed)
             }
             Ending::Stopped => {
-                eprintln!("stopped by a fault after {:.1} s of {} s", judged.reached_s, setup.duration_s);
+                let why = if summary.faults.is_empty() { "on request" } else { "by a fault" };
+                complain(format_args!("stopped {why} after {:.1} s of {} s", judged.reached_s, setup.duration_s));
                 Ok(Outcome::Failed)
             }
             Ending::Done => {
                 let held = &judged.held;
                 if held.for_s > 0.0 {
                     let end = if held.at_end { ", and did to the end" } else { "" };
-                    eprintln!("the arm held for {:.2} s, first at {:.2} s{end}", held.for_s, held.from_s);
+                    complain(format_args!("the arm held for {:.2} s, first at {:.2} s{end}", held.for_s, held.from_s));
                 }
                 // A hold is what is declared for a killed client; else the arm was to follow its path.
                 let given_up = held.at_end && self.kill_obstacle_client_at.is_none();
@@ -195,7 +195,9 @@ impl Demo {
                 std::thread::sleep(LOOK / 4);
                 continue;
             };
-            if state.fault_code != 0 {
+            // Somebody else may tell the arm to stop, and it does not start again by itself.
+            let told_to_stop = [SupervisorState::Stopping, SupervisorState::Disarmed].map(SupervisorState::wire);
+            if state.fault_code != 0 || origin_ns.is_some() && told_to_stop.contains(&state.supervisor) {
                 break Ending::Stopped;
             }
             let is_tracking = state.supervisor == SupervisorState::Tracking.wire();

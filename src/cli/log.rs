@@ -5,6 +5,7 @@
 //! a [`Queue`] lives, lines go through a bounded queue to a thread without priority, and those that find it full are
 //! dropped, counted, and told of as soon as there is room. Every other command writes by itself.
 
+use super::complain;
 use std::io::{self, Stderr, Write};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -26,12 +27,6 @@ pub(crate) fn writer() -> EitherWriter<NonBlocking, Stderr> {
         Some(queue) => EitherWriter::A(queue.clone()),
         None => EitherWriter::B(io::stderr()),
     }
-}
-
-/// A line for people, whatever the log's level, in order with the log.
-pub(crate) fn say(text: &str) {
-    // As one piece: the queue takes every piece for a line. Nobody is left to be told of a failure.
-    let _ = writer().write_all(format!("{text}\n").as_bytes());
 }
 
 /// The queue and its thread; at its end what waits is written, if it can be within two seconds.
@@ -60,8 +55,8 @@ impl Queue {
         std::panic::set_hook(Box::new(|panic| {
             let trace = std::backtrace::Backtrace::capture();
             match trace.status() {
-                std::backtrace::BacktraceStatus::Captured => say(&format!("{panic}\n{trace}")),
-                _ => say(&panic.to_string()),
+                std::backtrace::BacktraceStatus::Captured => complain(format_args!("{panic}\n{trace}")),
+                _ => complain(panic),
             }
         }));
         queue

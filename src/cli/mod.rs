@@ -14,12 +14,31 @@ mod scenario_client;
 mod status;
 
 use clap::{Parser, Subcommand};
+use miette::{IntoDiagnostic, WrapErr};
+use serde::Serialize;
 use sinew::ipc::payload::RequestKind;
+use std::fmt::Display;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
+
+/// What scripts go by; src/report/SCRIPTS.md tells more.
+const ENDINGS: &str = "\
+Exit codes:
+  0  done
+  1  the run ended in a fault, in contact or before its time;
+     the daemon refused, has a fault latched or is not there
+  2  unusable arguments, configuration or files, or a part that broke
+ 70  a defect of the daemon, which a service manager may start over
+`plan` ends with 0 wherever the arm is without avoidance (tip-no-avoidance,
+shape-no-avoidance) and in a series (penalty-sweep, swarm-comparison).
+
+Environment:
+  SINEW_LOG  what is logged to standard error: error, warn (default), info,
+             debug, trace, or by module: sinew::daemon=debug";
 
 /// Real-time controller service for cable-driven multisegment continuum arms.
 #[derive(Debug, Parser)]
-#[command(name = "sinew", version, about)]
+#[command(name = "sinew", version, about, after_help = ENDINGS)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -124,13 +143,27 @@ pub(crate) fn progress_bar(length: u64, what: &str) -> indicatif::ProgressBar {
 pub(crate) fn positive_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds.is_finite() && seconds > 0.0 && seconds < 1e9 => Ok(seconds),
-        _ => Err("expected a time above 0 s".to_owned()),
+        _ => Err("expected a time above 0 s and below 1e9 s".to_owned()),
     }
 }
 
-/// Writes to standard output; a reader that has gone (`| head`) is no error.
-pub(crate) fn print_text(text: &str) {
-    use std::io::Write;
+/// Writes to standard output. A reader that has gone (`| head`) is no error.
+pub(crate) fn print_text(text: &str) -> miette::Result<()> {
     let mut out = std::io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).into_diagnostic().wrap_err("standard output"),
+        _ => Ok(()),
+    }
+}
+
+/// Writes one JSON object to standard output.
+pub(crate) fn print_json<T: Serialize>(value: &T) -> miette::Result<()> {
+    print_text(&format!("{}\n", serde_json::to_string_pretty(value).into_diagnostic()?))
+}
+
+/// Writes a line to standard error, in order with the log and whatever its level; where it is closed there is nobody left
+/// to tell.
+pub(crate) fn complain(line: impl Display) {
+    // As one piece: the log's queue takes every piece for a line.
+    let _ = log::writer().write_all(format!("{line}\n").as_bytes());
 }

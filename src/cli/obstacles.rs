@@ -1,7 +1,7 @@
 //! `sinew obstacles`: inject one by hand, or list what the loop knows.
 
-use super::Outcome;
 use super::client::{Which, loop_time_ns, not_connected, numbers};
+use super::{Outcome, complain, print_text};
 use clap::{Args, Subcommand};
 use comfy_table::Table;
 use miette::IntoDiagnostic;
@@ -70,7 +70,7 @@ impl Inject {
         let obstacle = match self.obstacle() {
             Ok(obstacle) => obstacle,
             Err(why) => {
-                eprintln!("sinew obstacles inject: {why}");
+                complain(format_args!("sinew obstacles inject: {why}"));
                 return Ok(Outcome::Unusable);
             }
         };
@@ -156,13 +156,13 @@ impl List {
             Err(error) => return Ok(not_connected(&error)),
         };
         let Some(state) = client.states().into_diagnostic()?.wait(Duration::from_secs(2)).into_diagnostic()? else {
-            eprintln!("sinew: the daemon runs, but its loop sent no record within 2 s");
+            complain("sinew: the daemon runs, but its loop sent no record within 2 s");
             return Ok(Outcome::Failed);
         };
         if self.json {
-            print_json(&state)?
+            print_json(&state)?;
         } else {
-            print_table(&state)
+            print_table(&state)?;
         }
         Ok(Outcome::Done)
     }
@@ -181,11 +181,10 @@ fn print_json(state: &State) -> miette::Result<()> {
         })
         .collect();
     let text = serde_json::to_string(&serde_json::json!({ "tick": state.header.tick, "obstacles": rows }));
-    println!("{}", text.into_diagnostic()?);
-    Ok(())
+    print_text(&format!("{}\n", text.into_diagnostic()?))
 }
 
-fn print_table(state: &State) {
+fn print_table(state: &State) -> miette::Result<()> {
     let mut table = Table::new();
     table.set_header(["source", "id", "distance (mm)", "grown by (mm)"]);
     for d in &state.distances[..state.distance_count as usize] {
@@ -196,8 +195,5 @@ fn print_table(state: &State) {
             format!("{:.1}", 1e3 * d.growth_m),
         ]);
     }
-    println!("{table}");
-    if state.distance_count == 0 {
-        println!("no obstacles");
-    }
+    print_text(&format!("{table}\n{}", if state.distance_count == 0 { "no obstacles\n" } else { "" }))
 }

@@ -1,10 +1,11 @@
 //! `sinew plan`.
 
 use super::record::PlanRecording;
-use super::{Outcome, progress_bar};
+use super::{Outcome, print_json, print_text, progress_bar};
 use clap::{Args, ValueEnum};
-use miette::IntoDiagnostic;
+use miette::{IntoDiagnostic, bail, miette};
 use sinew::config::{BodyModel, ScenarioConfig, WarningBranch};
+use sinew::recording::RecordingError;
 use sinew::report::{figures_table, summary_table};
 use sinew::scenario::{Run, sweep, sweep_table};
 use std::path::PathBuf;
@@ -67,6 +68,9 @@ impl Plan {
                 Body::Arm => BodyModel::Arm,
             };
         }
+        if self.warning.is_some() && !scenario.planner.avoidance {
+            bail!("--warning has no effect: {} avoids nothing", scenario.name);
+        }
         let seed = self.seed.unwrap_or(scenario.seed);
         if scenario.sweep.is_empty() { self.single(&scenario, seed) } else { self.all(&scenario, seed) }
     }
@@ -75,7 +79,7 @@ impl Plan {
         let mut run = Run::new(scenario, seed).into_diagnostic()?;
         let mut collector = run.collector();
         let mut recording =
-            self.out.as_deref().map(|path| PlanRecording::create(path, &run)).transpose().into_diagnostic()?;
+            self.out.as_deref().map(|path| PlanRecording::create(path, &run)).transpose().map_err(unrecorded)?;
         let bar = progress_bar(run.total(), &scenario.name);
         let begin = Instant::now();
         let mut clock = || begin.elapsed().as_nanos() as u64;
@@ -85,7 +89,7 @@ impl Plan {
                 Ok(step) => {
                     run.collect(&step, &mut collector);
                     if let Some(recording) = &mut recording {
-                        recording.write(&run, &step).into_diagnostic()?;
+                        recording.write(&run, &step).map_err(unrecorded)?;
                     }
                 }
                 Err(error) => {
@@ -98,15 +102,14 @@ impl Plan {
         }
         bar.finish_and_clear();
         if let Some(recording) = recording {
-            recording.finish().into_diagnostic()?;
+            recording.finish().map_err(unrecorded)?;
         }
         let eta = scenario.planner.lookahead_s;
         let summary = collector.summary(&scenario.name, seed, eta, eta, false);
         if self.json {
-            println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
+            print_json(&summary)?;
         } else {
-            println!("{}", summary_table(&summary));
-            println!("{}", figures_table(&scenario.figures, &summary));
+            print_text(&format!("{}\n{}\n", summary_table(&summary), figures_table(&scenario.figures, &summary)))?;
         }
         let planner = &scenario.planner;
         let contact = planner.avoidance && collector.contact(planner.body, contact_tolerance(planner.warning));
@@ -115,7 +118,10 @@ impl Plan {
 
     fn all(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
         if self.out.is_some() {
-            miette::bail!("--out records one run; {} has {} variations", scenario.name, scenario.sweep.len());
+            bail!("--out records one run; {} has {} variations", scenario.name, scenario.sweep.len());
+        }
+        if self.warning.is_some() && scenario.sweep.iter().any(|variation| variation.warning.is_some()) {
+            bail!("--warning has no effect: the variations of {} say what plans near obstacles", scenario.name);
         }
         let bar = progress_bar(0, &scenario.name);
         let begin = Instant::now();
@@ -126,16 +132,21 @@ impl Plan {
         .into_diagnostic()?;
         bar.finish_and_clear();
         if self.json {
-            let object = serde_json::json!({ "scenario": scenario.name, "seed": seed, "runs": rows });
-            println!("{}", serde_json::to_string_pretty(&object).into_diagnostic()?);
+            print_json(&serde_json::json!({ "scenario": scenario.name, "seed": seed, "runs": rows }))?;
         } else {
-            println!("{}", sweep_table(&rows));
+            let mut text = format!("{}\n", sweep_table(&rows));
             for f in &scenario.figures {
-                println!("{}: paper: {}; reference: {}", f.quantity, f.paper, f.reference);
+                text.push_str(&format!("{}: paper: {}; reference: {}\n", f.quantity, f.paper, f.reference));
             }
+            print_text(&text)?;
         }
         Ok(Outcome::Done)
     }
+}
+
+/// In a line: the error names its cause itself.
+fn unrecorded(error: RecordingError) -> miette::Report {
+    miette!("--out: {error}")
 }
 
 /// How deep a plan may lie inside an obstacle before it is a contact (m): the solver's tolerance, or the softness of the

@@ -1,8 +1,8 @@
 //! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `target`: what an operator asks for.
 
-use super::Outcome;
 use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
-use clap::Args;
+use super::{Outcome, complain};
+use clap::{ArgGroup, Args};
 use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, Target, TargetMode};
 
 /// Arguments of a request without any of its own.
@@ -18,10 +18,10 @@ impl Ask {
             Ok(client) => client,
             Err(error) => return Ok(not_connected(&error)),
         };
-        Ok(match client.ask(kind, ANSWER) {
+        match client.ask(kind, ANSWER) {
             Ok(response) => say(kind.text(), &response),
-            Err(error) => not_connected(&error),
-        })
+            Err(error) => Ok(not_connected(&error)),
+        }
     }
 }
 
@@ -30,18 +30,12 @@ const SOURCE_ID: u32 = 0x5157;
 
 /// Arguments of `sinew target`.
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
+#[command(allow_negative_numbers = true, group(ArgGroup::new("what").required(true).args(["pose", "curvatures"])))]
 pub(crate) struct TargetArguments {
     #[command(flatten)]
     which: Which,
     /// Tip pose: position (m, base frame) and quaternion, e.g. 0.2,0,-2.5,0.7071,0,0.7071,0.
-    #[arg(
-        long,
-        value_name = "X,Y,Z,QW,QX,QY,QZ",
-        required_unless_present = "curvatures",
-        conflicts_with = "curvatures",
-        allow_hyphen_values = true
-    )]
+    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", allow_hyphen_values = true)]
     pose: Option<String>,
     /// Average curvatures (1/m), (y, z) segment by segment.
     #[arg(long, value_name = "Y1,Z1,Y2,Z2,...", allow_hyphen_values = true)]
@@ -56,7 +50,7 @@ impl TargetArguments {
         let mut target = match self.target() {
             Ok(target) => target,
             Err(why) => {
-                eprintln!("sinew target: {why}");
+                complain(format_args!("sinew target: {why}"));
                 return Ok(Outcome::Unusable);
             }
         };
@@ -68,10 +62,10 @@ impl TargetArguments {
         target.header = Header::new(SOURCE_ID, 0, capture_ns);
         let mut request = Request { target, ..Request::new(RequestKind::SetTarget) };
         request.header.source_id = SOURCE_ID;
-        Ok(match client.request(request, ANSWER) {
+        match client.request(request, ANSWER) {
             Ok(response) => say("target", &response),
-            Err(error) => not_connected(&error),
-        })
+            Err(error) => Ok(not_connected(&error)),
+        }
     }
 
     fn target(&self) -> Result<Target, String> {

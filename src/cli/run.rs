@@ -1,11 +1,12 @@
 //! `sinew run`: the daemon.
 
-use super::{Outcome, log};
+use super::{Outcome, complain, log};
 use clap::Args;
 use miette::IntoDiagnostic;
-use sinew::config::Config;
+use sinew::config::{BusKind, Config};
 use sinew::daemon::{AutoRequests, Daemon, DaemonError, Ending, Heart, LockstepOptions, Options};
 use sinew_hal::realtime::leave_processor;
+use sinew_hal::virtual_bus::{Claim, Role, claim};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -77,15 +78,25 @@ impl Run {
             leave_processor(cpu);
         }
         let mut log = log::Queue::start();
+        let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
+        let claims: Result<Vec<Claim>, _> = virtual_buses.map(|bus| claim(&bus.interface, Role::Master)).collect();
+        // Before the daemon's first word on the bus, which resets the drives; held to the end.
+        let _claims = match claims {
+            Ok(claims) => claims,
+            Err(error) => {
+                complain(format_args!("sinew run: {error}"));
+                return Ok(Outcome::Unusable);
+            }
+        };
         let daemon = match Daemon::start(&config, &options) {
             Ok(daemon) => daemon,
             Err(error) => {
-                log::say(&format!("sinew run: {error}"));
+                complain(format_args!("sinew run: {error}"));
                 return Ok(if is_defect(&error) { Outcome::Defect } else { Outcome::Unusable });
             }
         };
         let (arm, period_ms) = (&config.ipc.arm, 1e3 * config.timing.period_s);
-        log::say(&format!("sinew: arm \"{arm}\", {period_ms} ms period; stop with Ctrl-C"));
+        complain(format_args!("sinew: arm \"{arm}\", {period_ms} ms period; stop with Ctrl-C"));
         let mut heart = Heart::new();
         let beat = |ticks| {
             heart.beat(ticks, stop.load(Ordering::Relaxed));
@@ -94,11 +105,11 @@ impl Run {
         match daemon.wait(&stop, beat) {
             Ok(Ending::Stopped) => Ok(Outcome::Done),
             Ok(Ending::Faulted) => {
-                log::say("sinew: stopped with a fault latched");
+                complain("sinew: stopped with a fault latched");
                 Ok(Outcome::Failed)
             }
             Err(error) => {
-                log::say(&format!("sinew run: {error}"));
+                complain(format_args!("sinew run: {error}"));
                 Ok(if is_defect(&error) { Outcome::Defect } else { Outcome::Failed })
             }
         }

@@ -22,13 +22,13 @@ impl Status {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
         let (domain, arm) = self.which.find()?;
         let Some(report) = ask(&domain_name(&domain), &arm).into_diagnostic()? else {
-            eprintln!("sinew: {}", sinew::ipc::IpcError::NoDaemon { arm });
+            super::complain(format_args!("sinew: {}", sinew::ipc::IpcError::NoDaemon { arm }));
             return Ok(Outcome::Failed);
         };
         if self.json {
-            super::print_text(&format!("{}\n", serde_json::to_string(&report).into_diagnostic()?));
+            super::print_text(&format!("{}\n", serde_json::to_string(&report).into_diagnostic()?))?;
         } else {
-            super::print_text(&text(&report));
+            super::print_text(&text(&report))?;
         }
         Ok(if report.fault.is_some() { Outcome::Failed } else { Outcome::Done })
     }

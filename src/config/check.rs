@@ -1,7 +1,7 @@
 //! What `sinew check` says about a configuration that was accepted.
 //!
-//! Enters: a checked configuration. Leaves: lines of label and value, ready for a table. The buses' load is computed
-//! where their protocol is known and is not part of it.
+//! Enters: a checked configuration. Leaves: lines of label and value, ready for a table, and warnings. The buses' load is
+//! computed where their protocol is known and is not part of it.
 
 use super::{BodyModel, BusKind, BusLayout, Config, Routing, ScenarioConfig, Task};
 
@@ -18,7 +18,25 @@ fn line(label: &str, value: String) -> SummaryLine {
     SummaryLine { label: label.to_owned(), value }
 }
 
+/// Least stiffness-proportional damping with which one step of planning leads somewhere (s).
+const DAMPING_S_MIN: f64 = 0.03;
+
 impl Config {
+    /// What is permitted, and will hardly do what it is there for.
+    pub fn warnings(&self) -> Vec<String> {
+        let segments = self.arm.segments.iter().enumerate();
+        segments
+            .filter(|(_, segment)| segment.damping_stiffness_s < DAMPING_S_MIN)
+            .map(|(index, segment)| {
+                format!(
+                    "segment {}: damping_stiffness_s = {} s; planning needs {DAMPING_S_MIN} s or more",
+                    index + 1,
+                    segment.damping_stiffness_s
+                )
+            })
+            .collect()
+    }
+
     /// Summary of the arm, the loop, the planner, the observer, the buses and their drives.
     pub fn summary(&self) -> Vec<SummaryLine> {
         let arm = &self.arm;

@@ -288,6 +288,19 @@ static OVERRIDE: TableSpec = TableSpec {
     ],
 };
 
+/// Why no bus of this kind can have this name; `None` if one can.
+fn misnamed(kind: BusKind, interface: &str) -> Option<String> {
+    match kind {
+        BusKind::Virtual => sinew_hal::virtual_bus::path_of(interface).err().map(|error| error.to_string()),
+        // As the kernel's own check of a device's name.
+        BusKind::Socketcan => {
+            let refused = |c: char| c == '/' || c == ':' || c.is_whitespace();
+            (matches!(interface, "." | "..") || interface.contains(refused))
+                .then(|| format!("{interface:?} is no name of a network interface"))
+        }
+    }
+}
+
 /// Reads `[drives]` for this arm and this period of the loop (`None` where no loop is configured).
 pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) -> DrivesConfig {
     let bus_tables = table.tables("buses", None);
@@ -295,6 +308,11 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
     let mut buses: Vec<BusConfig> = Vec::new();
     for section in &bus_tables {
         let bus = bus(section);
+        if let Some(why) = misnamed(bus.kind, &bus.interface)
+            && section.is_clean()
+        {
+            section.refuse("interface", why, "permitted: e.g. `can0`, or for a virtual bus `arm0`");
+        }
         for (key, taken) in [
             ("name", buses.iter().any(|b| b.name == bus.name)),
             ("interface", buses.iter().any(|b| b.interface == bus.interface)),

@@ -59,7 +59,7 @@ pub struct Collector {
 }
 
 /// Depth from which a time counts as inside (m): an arm planned to touch lies within rounding of the surface.
-const INSIDE_M: f64 = 1e-6;
+pub(super) const INSIDE_M: f64 = 1e-6;
 
 #[derive(Debug, Clone)]
 struct Track {

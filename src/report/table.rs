@@ -1,5 +1,6 @@
 //! Tables for people.
 
+use super::collect::INSIDE_M;
 use super::summary::{Count, Percentiles, Summary};
 use crate::config::PublishedFigure;
 use comfy_table::{ContentArrangement, Table, presets};
@@ -127,9 +128,18 @@ fn short(v: &Value) -> String {
 /// A least distance; a run that ended before it began has none.
 fn nearest(distance_m: f64, at_s: f64, inside_s: &[[f64; 2]]) -> String {
     if distance_m.is_finite() {
-        format!("{:.2} mm at {at_s} s{}", 1e3 * distance_m, inside(inside_s))
+        format!("{} at {at_s} s{}", millimetres(distance_m), inside(inside_s))
     } else {
         "-".into()
+    }
+}
+
+/// A distance whose sign is that of the judgement: one that touches is not below zero, and a contact is not zero.
+fn millimetres(distance_m: f64) -> String {
+    match 1e3 * distance_m {
+        _ if (-INSIDE_M..0.0).contains(&distance_m) => "0.00 mm".to_owned(),
+        mm if mm < 0.0 && mm > -0.01 => format!("{mm:.4} mm"),
+        mm => format!("{mm:.2} mm"),
     }
 }
 
@@ -145,6 +155,14 @@ fn inside(intervals: &[[f64; 2]]) -> String {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn a_distance_below_zero_is_a_contact_and_nothing_else() {
+        assert_eq!(nearest(-3e-7, 1.0, &[]), "0.00 mm at 1 s");
+        assert_eq!(nearest(-4e-6, 1.0, &[[1.0, 1.1]]), "-0.0040 mm at 1 s, inside [1, 1.1] s");
+        assert_eq!(nearest(-2.5e-3, 1.0, &[]), "-2.50 mm at 1 s");
+        assert_eq!(nearest(8e-3, 1.0, &[]), "8.00 mm at 1 s");
+    }
 
     #[test]
     fn a_figure_is_shown_with_the_unit_of_its_name() {

@@ -178,6 +178,24 @@ fn an_unknown_table_is_refused_with_a_suggestion() {
 }
 
 #[test]
+fn a_bus_that_cannot_have_its_name_is_refused() {
+    refuse(
+        "drives.toml",
+        "interface = \"sinew0\"",
+        "interface = \"a/b\"",
+        &["drives.buses[0].interface", "A-Z a-z 0-9"],
+    );
+    let socketcan = |name: &str| {
+        let mut texts = files(&["arm.toml", "controller.toml", "drives.toml"]);
+        let drives = &mut texts[2].1;
+        *drives = drives.replace("\"virtual\"", "\"socketcan\"").replace("interface = \"sinew0\"", name);
+        Config::parse(texts)
+    };
+    expect(socketcan("interface = \"can 0\""), &["drives.toml:", "no name of a network interface"]);
+    assert!(socketcan("interface = \"can0\"").is_ok());
+}
+
+#[test]
 fn a_negative_stiffness_is_refused() {
     refuse(
         "arm.toml",

@@ -10,6 +10,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
@@ -92,6 +93,27 @@ impl Mapping {
         };
         let base = NonNull::new(base.cast()).ok_or(io::ErrorKind::OutOfMemory)?;
         Ok(Self { base, file, path: path.into() })
+    }
+
+    /// Locks a byte of the file for this mapping alone; false if another has it. Released with the file, whatever ends
+    /// it. Such locks (of open file descriptions) know nothing of the `flock` on the whole file.
+    pub(super) fn claim(&self, byte: u8) -> io::Result<bool> {
+        let lock = libc::flock {
+            l_type: libc::F_WRLCK as libc::c_short,
+            l_whence: libc::SEEK_SET as libc::c_short,
+            l_start: libc::off_t::from(byte),
+            l_len: 1,
+            l_pid: 0,
+        };
+        // SAFETY: the descriptor is this mapping's own open file, and the kernel only reads the structure, which outlives
+        // the call.
+        if unsafe { libc::fcntl(self.file.as_raw_fd(), libc::F_OFD_SETLK, &lock) } == 0 {
+            return Ok(true);
+        }
+        match io::Error::last_os_error() {
+            e if matches!(e.raw_os_error(), Some(libc::EAGAIN | libc::EACCES)) => Ok(false),
+            e => Err(e),
+        }
     }
 
     /// Fixed part.

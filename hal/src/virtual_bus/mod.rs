@@ -13,6 +13,8 @@
 //! also a [`duplicate`](CanBus::duplicate) in the same process. The bus itself always carries FD, like a vcan of MTU 72;
 //! a handle opened without `fd` neither sends nor hears FD frames.
 //!
+//! A role that only one process can have on a wire (master, drives) is [claimed](claim) beside the frames.
+//!
 //! Must never: block a sender, allocate after `open`, or trust a byte of the shared memory.
 
 mod layout;
@@ -58,6 +60,14 @@ pub enum OpenVirtualError {
         /// What the operating system said.
         source: io::Error,
     },
+    /// Somebody has the role on it that was wanted.
+    #[error("virtual bus {name:?}: a process that {role} is already running; give this one a bus of another name")]
+    Claimed {
+        /// The bus's name.
+        name: String,
+        /// What the other process does.
+        role: &'static str,
+    },
     /// Another version of this program is using a bus of that name.
     #[error("virtual bus file {path} is in use with layout version {version}, expected {expected}", path = path.display())]
     Layout {
@@ -68,6 +78,44 @@ pub enum OpenVirtualError {
         /// Version of this program.
         expected: u32,
     },
+}
+
+/// What only one process on a bus can be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// Commands the drives.
+    Master,
+    /// Stands for the drives.
+    Drives,
+}
+
+impl Role {
+    const fn text(self) -> &'static str {
+        match self {
+            Self::Master => "commands its drives",
+            Self::Drives => "stands for its drives",
+        }
+    }
+}
+
+/// A role on a bus, for as long as this lives: the kernel takes it back even from a process that was killed.
+pub struct Claim {
+    _mapping: Mapping,
+}
+
+/// Takes a role on the bus of this name, making the bus if nobody has it open. On a wire two masters would command the
+/// same drives, and two drives answer to one node id; here the second one is told.
+///
+/// # Errors
+/// Another process, or another claim of this one, has the role; otherwise as [`VirtualBus::open`].
+pub fn claim(name: &str, role: Role) -> Result<Claim, OpenVirtualError> {
+    let path = path_of(name)?;
+    let mapping = Mapping::open(&path)?;
+    match mapping.claim(role as u8) {
+        Ok(true) => Ok(Claim { _mapping: mapping }),
+        Ok(false) => Err(OpenVirtualError::Claimed { name: name.into(), role: role.text() }),
+        Err(source) => Err(OpenVirtualError::File { path, source }),
+    }
 }
 
 /// A handle on a virtual bus.

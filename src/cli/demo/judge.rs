@@ -2,7 +2,8 @@
 //!
 //! Enters: the plant's trace and the daemon's records. Leaves: a summary. Distances, tip error and curvature error are
 //! the true arm's against the scenario at that time; tensions are those that the drums were told; iterations, times and
-//! faults are the daemon's. The judgement ends with the first fault: from there on the controller no longer moves the arm.
+//! faults are the daemon's. The judgement ends with the first fault, and where the arm is told to stop: from there on the
+//! controller no longer moves it along its path.
 //!
 //! The two files meet in time. In real time both carry CLOCK_MONOTONIC. In lockstep the plant counts SYNCs and the daemon
 //! ticks, and the SYNCs before the first tick are not known: the two are laid beside each other so that the tensions of
@@ -36,7 +37,7 @@ pub(super) struct Judged {
     pub(super) held: Held,
 }
 
-/// Times without tracking, up to the first fault.
+/// Times without tracking, up to the first fault or the stop.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Held {
     /// All of them together (s).
@@ -52,6 +53,7 @@ struct Record {
     tick: u64,
     capture_ns: u64,
     tracks: bool,
+    stops: bool,
     tensions: Vec<f64>,
     branch: u64,
     iterations: u64,
@@ -60,6 +62,13 @@ struct Record {
     wakeup_ns: u64,
     missed: u64,
     fault: (u64, u64),
+}
+
+impl Record {
+    /// A fault, or the ramp of a stop: the path is no longer followed, and what the arm does from here is not judged.
+    const fn is_over(&self) -> bool {
+        self.fault.0 != 0 || self.stops
+    }
 }
 
 /// The true arm after one period.
@@ -78,6 +87,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
             tick: integer(&v["header"]["tick"]),
             capture_ns: integer(&v["header"]["capture_ns"]),
             tracks: integer(&v["supervisor"]) == u64::from(SupervisorState::Tracking.wire()),
+            stops: integer(&v["supervisor"]) == u64::from(SupervisorState::Stopping.wire()),
             tensions: numbers(&v["tension_command_n"]),
             branch: integer(&v["planner_branch"]),
             iterations: integer(&v["newton_iterations"]),
@@ -111,9 +121,9 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         truths.iter().map(|t| (t.capture_ns as f64 - origin_ns as f64) * 1e-9).collect()
     };
 
-    let fault = records[first..].iter().find(|r| r.fault.0 != 0);
-    let fault_s = fault.map_or(f64::INFINITY, |r| (r.capture_ns as f64 - origin_ns as f64) * 1e-9);
-    let end_s = setup.duration_s.min(fault_s) + 0.5 * period_s;
+    let over = records[first..].iter().find(|r| r.is_over());
+    let over_s = over.map_or(f64::INFINITY, |r| (r.capture_ns as f64 - origin_ns as f64) * 1e-9);
+    let end_s = setup.duration_s.min(over_s) + 0.5 * period_s;
     let mut collector = collector(setup);
     let mut judge = Judge::new(setup)?;
     let mut tick = records.iter().position(|r| r.capture_ns >= origin_ns).unwrap_or(records.len());
@@ -133,7 +143,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
         reached_s = t;
         judge.add(&mut collector, truth, t, record, lockstep)?;
     }
-    let within = |r: &&Record| (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
+    let within = |r: &&Record| !r.stops && (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
     let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
     collector.set_missed(missed);
@@ -392,6 +402,7 @@ mod tests {
                 tick: k as u64,
                 capture_ns: 1_000_000_000 + 10_000_000 * k as u64,
                 tracks: *tracks,
+                stops: false,
                 tensions: Vec::new(),
                 branch: 0,
                 iterations: 0,

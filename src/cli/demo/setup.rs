@@ -1,6 +1,6 @@
 //! What a demo is made of: one configuration file for all, names of its own for bus and shared memory, the programs.
 
-use super::{Branch, Demo, is_tip};
+use super::{Branch, Demo, complain, is_tip};
 use miette::{IntoDiagnostic, WrapErr, miette};
 use sinew::config::{BUILTIN_FILES, Config, ScenarioConfig};
 use sinew::ipc::Domain;
@@ -44,17 +44,16 @@ pub(super) struct Setup {
 impl Setup {
     pub(super) fn new(demo: &Demo) -> miette::Result<Self> {
         let scenario = ScenarioConfig::find(&demo.scenario)?;
-        let duration_s = demo.duration.unwrap_or(scenario.duration_s).min(scenario.duration_s);
-        if !(duration_s.is_finite() && duration_s > 0.0) {
-            return Err(miette!("--duration {duration_s}: expected more than 0 s"));
-        }
+        refuse_without_effect(demo, &scenario)?;
+        let duration_s = duration_s(demo, &scenario)?;
         let sinew = std::env::current_exe().into_diagnostic()?;
         let plant = find_plant(&sinew)?;
         let temporary = tempfile::Builder::new().prefix("sinew-demo-").tempdir().into_diagnostic()?;
         let folder = match &demo.keep {
             Some(folder) => {
-                std::fs::create_dir_all(folder).into_diagnostic()?;
-                folder.canonicalize().into_diagnostic()?
+                let made = std::fs::create_dir_all(folder).and_then(|()| folder.canonicalize());
+                made.into_diagnostic()
+                    .wrap_err_with(|| format!("--keep {}: the directory cannot be made", folder.display()))?
             }
             None => temporary.path().to_owned(),
         };
@@ -65,7 +64,9 @@ impl Setup {
         let buses = isolate(&mut tables, process, &prefix, &root, &demo.can)?;
         adapt(&mut tables, demo, &scenario);
         let file = folder.join("demo.toml");
-        std::fs::write(&file, toml::to_string(&tables).into_diagnostic()?).into_diagnostic()?;
+        std::fs::write(&file, toml::to_string(&tables).into_diagnostic()?)
+            .into_diagnostic()
+            .wrap_err_with(|| format!("{} cannot be written", file.display()))?;
         let config = Config::load(&[file])?;
         let (_, start_tensions) = Course::new(&scenario)
             .start(&config.arm)
@@ -176,6 +177,38 @@ impl Setup {
 impl Drop for Setup {
     fn drop(&mut self) {
         self.sweep();
+    }
+}
+
+/// A choice that would change nothing is a mistake of whoever made it.
+fn refuse_without_effect(demo: &Demo, scenario: &ScenarioConfig) -> miette::Result<()> {
+    let name = &scenario.name;
+    if !scenario.sweep.is_empty() {
+        return Err(miette!(
+            help = format!("`sinew plan {name}` runs it; the demo runs one scenario, e.g. tip"),
+            "{name} is a series of {} variations",
+            scenario.sweep.len()
+        ));
+    }
+    if demo.warning.is_some() && !scenario.planner.avoidance {
+        return Err(miette!("--warning has no effect: {name} avoids nothing"));
+    }
+    Ok(())
+}
+
+/// Seconds of the scenario that run.
+fn duration_s(demo: &Demo, scenario: &ScenarioConfig) -> miette::Result<f64> {
+    let whole_s = scenario.duration_s;
+    let asked_s = demo.duration.unwrap_or(whole_s);
+    if asked_s > whole_s {
+        complain(format_args!("--duration {asked_s}: {} ends after {whole_s} s", scenario.name));
+    }
+    let duration_s = asked_s.min(whole_s);
+    match demo.kill_obstacle_client_at {
+        Some(at_s) if at_s >= duration_s => {
+            Err(miette!("--kill-obstacle-client-at {at_s}: the run ends before, after {duration_s} s"))
+        }
+        _ => Ok(duration_s),
     }
 }
 
