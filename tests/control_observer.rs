@@ -60,7 +60,7 @@ impl World {
         let inputs = TickInputs {
             tick: self.tick,
             now_ns,
-            late: false,
+            missed: 0,
             encoders: EncoderReadings { lengths_m: &lengths, valid, capture_ns: now_ns },
             tensions_measured_n: &[],
             obstacles: &self.obstacles,

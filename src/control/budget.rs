@@ -58,11 +58,6 @@ impl Budget {
     pub const fn plan_until_ns(&self, scheduled_ns: u64, now_ns: u64) -> u64 {
         now_ns.saturating_add(self.left_ns(scheduled_ns, now_ns))
     }
-
-    /// Whether a tick that was scheduled for `scheduled_ns` and begins at `now_ns` is late: the next one is due already.
-    pub const fn is_late(&self, scheduled_ns: u64, now_ns: u64) -> bool {
-        now_ns >= self.send_deadline_ns(scheduled_ns)
-    }
 }
 
 #[cfg(test)]
@@ -88,7 +83,6 @@ mod tests {
         assert_eq!(b.left_ns(5_000, 5_800), 0);
         assert_eq!(b.left_ns(5_000, u64::MAX), 0);
         assert_eq!(b.plan_until_ns(5_000, 9_000), 9_000);
-        assert!(!b.is_late(5_000, 5_999) && b.is_late(5_000, 6_000));
     }
 
     #[test]

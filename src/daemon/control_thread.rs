@@ -1,5 +1,6 @@
 //! The control thread: when a tick begins, and what becomes of late ones.
 
+use super::deadlines::Deadlines;
 use super::link::Progress;
 use super::tick::{AutoRequests, Controller, Parts, TickTime, Ticked, budget, period_ns};
 use super::warm_up::warm_up;
@@ -118,8 +119,8 @@ impl Stopping {
     }
 }
 
-/// Absolute deadlines. A tick that begins when the next one is due is late; those that were due meanwhile are left out
-/// and counted, never replayed.
+/// Absolute deadlines, see [`Deadlines`]. Every missed one counts for the supervisor, also those that the loop's own
+/// computing missed.
 fn run_realtime(
     controller: &mut Controller<Observer>,
     writer: &mut CycleWriter,
@@ -129,40 +130,32 @@ fn run_realtime(
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
-    let start_ns = monotonic_ns() + 2 * period_ns;
+    let mut deadlines = Deadlines::new(monotonic_ns() + 2 * period_ns, period_ns);
     let mut stopping = Stopping::new(config);
-    let (mut tick, mut missed, mut last) = (0_u64, 0_u64, None);
+    let mut last: Option<Ticked> = None;
     loop {
-        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
+        let stop = progress.stop.load(Ordering::Acquire) || deadlines.tick() >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }
-        let mut scheduled_ns = start_ns + tick * period_ns;
-        Monotonic.sleep_until(scheduled_ns);
+        Monotonic.sleep_until(deadlines.due_ns());
         let woke_ns = monotonic_ns();
-        let wakeup_ns = woke_ns.saturating_sub(scheduled_ns);
-        let late = budget.is_late(scheduled_ns, woke_ns);
-        if late {
-            let skipped = wakeup_ns / period_ns;
-            tick += skipped;
-            missed += skipped;
-            scheduled_ns += skipped * period_ns;
-        }
+        let begun = deadlines.begin(woke_ns);
         let time = TickTime {
-            tick,
-            now_ns: scheduled_ns,
+            tick: begun.tick,
+            now_ns: begun.scheduled_ns,
             woke_ns,
-            wakeup_ns,
-            late,
-            plan_until_ns: Some(budget.plan_until_ns(scheduled_ns, woke_ns)),
-            missed,
+            wakeup_ns: begun.wakeup_ns,
+            missed: begun.missed,
+            plan_until_ns: Some(budget.plan_until_ns(begun.scheduled_ns, woke_ns)),
+            left_out: begun.left_out,
         };
         match around {
             Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
             None => last = Some(controller.tick(&time, stop, writer)),
         }
-        tick += 1;
-        progress.ticks.store(tick, Ordering::Release);
+        deadlines.end(last.as_ref().map_or(woke_ns, |ticked| ticked.sent_ns));
+        progress.ticks.store(deadlines.tick(), Ordering::Release);
     }
 }
 
@@ -193,9 +186,9 @@ fn run_lockstep(
             now_ns: tick * period_ns,
             woke_ns,
             wakeup_ns: woke_ns.saturating_sub(began_ns),
-            late: false,
-            plan_until_ns: None,
             missed: 0,
+            plan_until_ns: None,
+            left_out: 0,
         };
         match around {
             Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),

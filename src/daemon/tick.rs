@@ -62,12 +62,12 @@ pub(crate) struct TickTime {
     pub(crate) woke_ns: u64,
     /// The wake-up's delay (ns).
     pub(crate) wakeup_ns: u64,
-    /// The next tick was due already.
-    pub(crate) late: bool,
+    /// Deadlines missed since the tick before ([`TickInputs::missed`]).
+    pub(crate) missed: u32,
     /// CLOCK_MONOTONIC at which planning must end (ns); `None` in lockstep.
     pub(crate) plan_until_ns: Option<u64>,
     /// Ticks left out so far.
-    pub(crate) missed: u64,
+    pub(crate) left_out: u64,
 }
 
 /// What the loop must know after a tick.
@@ -75,6 +75,8 @@ pub(crate) struct TickTime {
 pub(crate) struct Ticked {
     pub(crate) mode: Mode,
     pub(crate) drives: DrivesInput,
+    /// CLOCK_MONOTONIC when the torques had left (ns).
+    pub(crate) sent_ns: u64,
 }
 
 /// Everything that the control thread owns.
@@ -187,7 +189,7 @@ impl<E: Estimator> Controller<E> {
         let inputs = TickInputs {
             tick: time.tick,
             now_ns,
-            late: time.late,
+            missed: time.missed,
             encoders: EncoderReadings { lengths_m: &self.lengths, valid, capture_ns },
             tensions_measured_n: &self.measured,
             obstacles: self.obstacles.pair(),
@@ -223,7 +225,7 @@ impl<E: Estimator> Controller<E> {
         if let (Some(command), Some(answer)) = (command, &output.answer) {
             self.outputs.reply(records::reply(&command, answer, output.mode, fault));
         }
-        Ticked { mode: output.mode, drives }
+        Ticked { mode: output.mode, drives, sent_ns }
     }
 
     /// Moves the obstacles, and what their sources ask for.
@@ -336,7 +338,7 @@ impl<E: Estimator> Controller<E> {
         state.time_s = time.tick as f64 * self.period_ns as f64 * 1e-9;
         state.target_report = self.inputs.target().report(now_ns, &self.limits.target);
         state.encoder_report = self.inputs.encoders().report(now_ns, &self.limits.encoders);
-        state.ticks_missed = time.missed;
+        state.ticks_missed = time.left_out;
         self.outputs.record(state);
         while let Some(event) = self.cycle.events_mut().pop() {
             self.outputs.event(records::event(&event));

@@ -178,7 +178,8 @@ pub struct Rig<P: Plan = Planner> {
     pub drives: DrivesInput,
     pub target: Option<TargetInput>,
     pub demand: ObstacleDemand,
-    pub late: bool,
+    /// Deadlines missed before each tick.
+    pub missed: u32,
     pub valid: CableMask,
     /// Added to the measured lengths (m).
     pub offset: Vec<f64>,
@@ -215,7 +216,7 @@ impl<P: Plan> Rig<P> {
             drives: DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None },
             target: None,
             demand: ObstacleDemand::Proceed,
-            late: false,
+            missed: 0,
             valid: CableMask::first(cables),
             offset: vec![0.0; cables],
             frozen: vec![None; cables],
@@ -237,7 +238,7 @@ impl<P: Plan> Rig<P> {
         let inputs = TickInputs {
             tick: self.tick,
             now_ns,
-            late: self.late,
+            missed: self.missed,
             encoders: EncoderReadings { lengths_m: &self.lengths, valid: self.valid, capture_ns: now_ns },
             tensions_measured_n: &[],
             obstacles: &self.obstacles,

@@ -63,8 +63,8 @@ pub struct TickInputs<'a> {
     pub tick: u64,
     /// Time of the tick (ns, the loop's clock): the scheduled one, so that jitter does not enter the control law.
     pub now_ns: u64,
-    /// Whether this tick began when the next one was due ([`super::Budget::is_late`]).
-    pub late: bool,
+    /// Deadlines missed since the tick before: ticks left out, and that tick itself if its torques left after its period.
+    pub missed: u32,
     /// Newest encoder readings.
     pub encoders: EncoderReadings<'a>,
     /// Measured tensions (N), for the record alone; empty for none, NaN where not valid.
@@ -386,7 +386,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             obstacles: inputs.demand,
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
             at_home: self.curvatures[..count].iter().zip(home).all(|(k, home)| (k - home).abs() <= tolerance),
-            late: inputs.late,
+            missed: inputs.missed,
         }
     }
 
