@@ -45,8 +45,11 @@ impl Seen {
 }
 
 /// One tick of a day in the life of an arm, 2,000 ticks long: arm, hold, track a moving tip among moving obstacles, a
-/// shape, home, a lost client, missed deadlines, missing readings, a fault, clear, stop, disarm.
+/// shape, home, a lost client, missed deadlines, ticks left out, missing readings, a fault, clear, stop, disarm.
 fn live(rig: &mut Rig, seen: &mut Seen) {
+    if rig.tick % 2000 == 950 {
+        rig.tick += 7;
+    }
     let k = rig.tick % 2000;
     let t = k as f64 * PERIOD_S;
     let x = 0.28 + 0.1 * (0.5 * t).cos();

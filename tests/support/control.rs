@@ -105,11 +105,13 @@ impl Estimator for Mirror {
         Ok(())
     }
 
-    fn update(&mut self, sent_n: &[f64], _: &[f64]) -> Result<Estimate, EstimatorFailure> {
-        self.stepper
-            .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
-            .map_err(|_| EstimatorFailure::Step)?;
-        std::mem::swap(&mut self.state, &mut self.next);
+    fn update(&mut self, sent_n: &[f64], _: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure> {
+        for _ in 0..periods {
+            self.stepper
+                .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
+                .map_err(|_| EstimatorFailure::Step)?;
+            std::mem::swap(&mut self.state, &mut self.next);
+        }
         self.updates += 1;
         let z = self.innovation_rad;
         let settled = self.updates >= self.settle_after;
