@@ -50,7 +50,9 @@ struct Held {
 
 impl Held {
     fn new(hold: u32, fault: u32) -> Self {
-        (EVERY_US.store(0, Ordering::Release), ONCE_US.store(0, Ordering::Release));
+        for us in [&EVERY_US, &ONCE_US] {
+            us.store(0, Ordering::Release);
+        }
         let place = Place::new(|_, text| {
             text.replace("period_s = 0.01", "period_s = 0.05")
                 .replace("overruns_hold = 1000", &format!("overruns_hold = {hold}"))
@@ -148,7 +150,7 @@ fn a_stall_that_stays_alone_is_counted_by_its_length_and_the_arm_holds_on() {
     let held = Held::new(30, 60);
     let before = held.daemon.status();
     ONCE_US.store(micros(20.0), Ordering::Release);
-    held.until("the stall", |s| s.missed + s.overran >= before.missed + before.overran + 20);
+    held.until("the stall", |s| s.missed >= before.missed + 20);
     let after = held.until("more ticks", |s| s.ticks > before.ticks + 60);
     assert_eq!((after.mode.as_str(), after.fault), ("holding", None));
     let ticks = held.end();

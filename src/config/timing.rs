@@ -26,7 +26,7 @@ pub struct LoopConfig {
     pub ramp_s: f64,
     /// Missed deadlines, as far as not forgotten, at which the supervisor faults; more than `overruns_hold`.
     pub overruns_fault: u32,
-    /// Part of the period kept back for guard and sending (s); the planner gets what is left before it.
+    /// Part of the period kept back for guard, sending and the record (s); the planner gets what is left before it.
     pub reserve_s: f64,
 }
 
@@ -102,7 +102,8 @@ pub static LOOP: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.0, 0.05)),
             "s",
             "0.0002",
-            "Part of the period kept back for guard and sending; at most half of it.",
+            "Part of the period kept back for what follows planning: guard, sending and the record (stages `guard`, `send` and \
+             `report` of `sinew status`); at most half of it.",
         ),
     ],
 };

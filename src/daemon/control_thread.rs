@@ -2,6 +2,7 @@
 
 use super::deadlines::Deadlines;
 use super::link::Progress;
+use super::statistics::AfterSending;
 use super::tick::{AutoRequests, Controller, Parts, TickTime, Ticked, budget, period_ns};
 use super::warm_up::warm_up;
 use crate::config::Config;
@@ -10,6 +11,7 @@ use crate::estimator::Observer;
 use crate::ipc::{ControlInputs, ControlOutputs, LockstepSources};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use rtrb::Producer;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
@@ -41,6 +43,8 @@ pub(crate) struct Plan {
     pub(crate) around_tick: Option<fn(&mut dyn FnMut())>,
     pub(crate) sources: LockstepSources,
     pub(crate) lockstep_timeout: Duration,
+    /// Where the times after sending go.
+    pub(crate) after: Producer<AfterSending>,
     pub(crate) progress: Arc<Progress>,
 }
 
@@ -62,7 +66,7 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
         WakeLatency::at_most(Duration::from_secs_f64(longest_s)).map_err(|refused| report.refused.push(refused)).ok()
     });
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
-    let (ticks, around) = (plan.ticks, plan.around_tick);
+    let (ticks, around) = (plan.ticks, Around { hook: plan.around_tick, after: plan.after });
     let parts = Parts {
         cycle: Cycle::new(&plan.settings, observer),
         inputs: plan.inputs,
@@ -90,6 +94,31 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
         run_realtime(&mut controller, &mut writer, &plan.config, ticks, around, &plan.progress)
     };
     plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
+}
+
+/// What goes on around a tick: the hook of a test, and the clock behind its end.
+struct Around {
+    hook: Option<fn(&mut dyn FnMut())>,
+    after: Producer<AfterSending>,
+}
+
+impl Around {
+    /// A tick; `None` where the hook left it out.
+    fn run(&mut self, mut tick: impl FnMut() -> Ticked) -> Option<Ticked> {
+        let (mut last, after) = (None, &mut self.after);
+        let mut timed = || {
+            let ticked = tick();
+            let report_ns = monotonic_ns().saturating_sub(ticked.sent_ns);
+            // Where nobody has looked for thousands of ticks the statistics go without.
+            let _ = after.push(AfterSending { branch: ticked.branch, report_ns });
+            last = Some(ticked);
+        };
+        match self.hook {
+            Some(hook) => hook(&mut timed),
+            None => timed(),
+        }
+        last
+    }
 }
 
 /// Whether the ordered stop is over.
@@ -126,7 +155,7 @@ fn run_realtime(
     writer: &mut CycleWriter,
     config: &Config,
     ticks: u64,
-    around: Option<fn(&mut dyn FnMut())>,
+    mut around: Around,
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
@@ -147,13 +176,10 @@ fn run_realtime(
             woke_ns,
             wakeup_ns: begun.wakeup_ns,
             missed: begun.missed,
-            plan_until_ns: Some(budget.plan_until_ns(begun.scheduled_ns, woke_ns)),
+            budget: Some(budget),
             left_out: begun.left_out,
         };
-        match around {
-            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
-            None => last = Some(controller.tick(&time, stop, writer)),
-        }
+        last = around.run(|| controller.tick(&time, stop, writer)).or(last);
         deadlines.end(last.as_ref().map_or(woke_ns, |ticked| ticked.sent_ns));
         progress.ticks.store(deadlines.tick(), Ordering::Release);
     }
@@ -166,7 +192,7 @@ fn run_lockstep(
     mut gate: Gate,
     config: &Config,
     ticks: u64,
-    around: Option<fn(&mut dyn FnMut())>,
+    mut around: Around,
     progress: &Progress,
 ) -> Option<Ticked> {
     let period_ns = period_ns(config);
@@ -187,13 +213,10 @@ fn run_lockstep(
             woke_ns,
             wakeup_ns: woke_ns.saturating_sub(began_ns),
             missed: 0,
-            plan_until_ns: None,
+            budget: None,
             left_out: 0,
         };
-        match around {
-            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
-            None => last = Some(controller.tick(&time, stop, writer)),
-        }
+        last = around.run(|| controller.tick(&time, stop, writer)).or(last);
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }

@@ -4,6 +4,13 @@
 //! The deadline of a tick is the end of its period: by then its torques must have left. A loop that wakes when the next
 //! tick is due leaves out those whose deadline is over; none is replayed.
 
+/// Whether a tick's torques left after the end of its period (ns), by its record. The wake-up's delay counts from the tick
+/// that was due first; those left out since missed deadlines of their own, and this one belongs to the last. `period_ns` is
+/// 0 in lockstep, where nothing is due.
+pub const fn overran(wakeup_ns: u64, cycle_ns: u64, period_ns: u64) -> bool {
+    period_ns > 0 && wakeup_ns % period_ns + cycle_ns > period_ns
+}
+
 /// The loop's deadlines.
 #[derive(Debug)]
 pub(super) struct Deadlines {
@@ -99,6 +106,15 @@ mod tests {
         assert_eq!((slept.tick, slept.missed, slept.left_out), (10, 3, 7));
         d.end(16_001);
         assert_eq!(d.begin(16_010).missed, 1, "it began in time, its torques did not leave in time");
+    }
+
+    #[test]
+    fn a_record_tells_whether_its_tick_overran_and_nothing_of_those_left_out_before_it() {
+        assert!(!overran(0, PERIOD_NS, PERIOD_NS) && overran(1, PERIOD_NS, PERIOD_NS));
+        assert!(overran(400, 700, PERIOD_NS));
+        // Three ticks were left out, and the one that ran was in time, or not.
+        assert!(!overran(3 * PERIOD_NS + 100, 700, PERIOD_NS) && overran(3 * PERIOD_NS + 400, 700, PERIOD_NS));
+        assert!(!overran(5, 1_000_000, 0), "in lockstep nothing is due");
     }
 
     /// What a run under a load came to.

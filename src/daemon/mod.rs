@@ -40,8 +40,10 @@ mod taps;
 mod threads;
 mod tick;
 mod warm_up;
+mod watch;
 
 pub use bus_thread::ENCODER_SOURCE_ID;
+pub use deadlines::overran;
 pub use drive_causes::cause_text;
 pub use error::DaemonError;
 pub use heart::Heart;
@@ -212,7 +214,8 @@ impl Daemon {
             None => None,
         };
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
-        let taps = Taps { pairs, notes: TickNotes::new(shared.clone()), recorder };
+        let (notes, after) = TickNotes::new(shared.clone());
+        let taps = Taps { pairs, notes, recorder };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.io = Some(spawn("sinew-io", below(2), {
@@ -245,6 +248,7 @@ impl Daemon {
             around_tick: options.around_tick,
             sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
             lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
+            after,
             progress: progress.clone(),
         };
         daemon.control = Some(spawn("sinew-control", 0, move || control_thread::run(plan, &granted, &from_bus))?);

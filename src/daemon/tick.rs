@@ -5,15 +5,16 @@
 use super::link::{DrivesLink, LoopTime};
 use super::obstacles::PairReader;
 use super::records;
+use super::statistics::Branch;
+use super::watch::Watch;
 use crate::config::{Config, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Phase, Request, StopWatch,
-    Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, Request, Target,
+    TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
 use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
-use crate::planner::Deadline;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
@@ -64,8 +65,8 @@ pub(crate) struct TickTime {
     pub(crate) wakeup_ns: u64,
     /// Deadlines missed since the tick before ([`TickInputs::missed`]).
     pub(crate) missed: u32,
-    /// CLOCK_MONOTONIC at which planning must end (ns); `None` in lockstep.
-    pub(crate) plan_until_ns: Option<u64>,
+    /// The planner's time; `None` in lockstep, where only work counts.
+    pub(crate) budget: Option<Budget>,
     /// Ticks left out so far.
     pub(crate) left_out: u64,
 }
@@ -77,6 +78,7 @@ pub(crate) struct Ticked {
     pub(crate) drives: DrivesInput,
     /// CLOCK_MONOTONIC when the torques had left (ns).
     pub(crate) sent_ns: u64,
+    pub(crate) branch: Branch,
 }
 
 /// Everything that the control thread owns.
@@ -112,27 +114,6 @@ pub(crate) struct Parts<E> {
     pub(crate) time: LoopTime,
     pub(crate) rng: Xoshiro256PlusPlus,
     pub(crate) auto: AutoRequests,
-}
-
-/// Reads the clock at the ends of the tick's parts, and tells the planner when its time is over.
-struct Watch {
-    began_ns: u64,
-    until_ns: Option<u64>,
-    marks_ns: [u64; 3],
-}
-
-impl Deadline for Watch {
-    fn used(&mut self) -> f64 {
-        let Some(until_ns) = self.until_ns else { return 0.0 };
-        let budget_ns = until_ns.saturating_sub(self.began_ns);
-        if budget_ns == 0 { 1.0 } else { monotonic_ns().saturating_sub(self.began_ns) as f64 / budget_ns as f64 }
-    }
-}
-
-impl StopWatch for Watch {
-    fn mark(&mut self, phase: Phase) {
-        self.marks_ns[phase as usize] = monotonic_ns();
-    }
 }
 
 impl<E: Estimator> Controller<E> {
@@ -185,7 +166,7 @@ impl<E: Estimator> Controller<E> {
         let (request, command) = self.next_request(stop, &drives, demand, target.is_some_and(|t| t.fresh));
         let began_ns = monotonic_ns();
 
-        let mut watch = Watch { began_ns, until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
+        let mut watch = Watch::new(time.budget, now_ns, began_ns);
         let inputs = TickInputs {
             tick: time.tick,
             now_ns,
@@ -209,7 +190,7 @@ impl<E: Estimator> Controller<E> {
         let _ = writer.write_cycle(&self.torques);
         let sent_ns = monotonic_ns();
 
-        let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns;
+        let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns();
         self.cycle.report(&inputs);
         self.cycle.record_mut().timing = Timing {
             wakeup_ns: time.wakeup_ns,
@@ -225,7 +206,7 @@ impl<E: Estimator> Controller<E> {
         if let (Some(command), Some(answer)) = (command, &output.answer) {
             self.outputs.reply(records::reply(&command, answer, output.mode, fault));
         }
-        Ticked { mode: output.mode, drives, sent_ns }
+        Ticked { mode: output.mode, drives, sent_ns, branch: Branch::of(&self.state) }
     }
 
     /// Moves the obstacles, and what their sources ask for.
