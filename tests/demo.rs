@@ -100,7 +100,7 @@ impl Demo {
 fn unhurried(folder: &Path) -> Vec<String> {
     let mut arguments = vec!["--config".to_owned()];
     for (name, text) in BUILTIN_FILES {
-        if ["arm.toml", "controller.toml", "drives.toml", "plant.toml"].contains(&name) {
+        if ["arm.toml", "controller.toml", "drives.toml", "plant.toml"].contains(name) {
             let text = text
                 .replace("encoder_silent_s = 0.05", "encoder_silent_s = 2.0")
                 .replace("heartbeat_timeout_s = 0.15", "heartbeat_timeout_s = 3.0")
