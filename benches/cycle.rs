@@ -374,7 +374,7 @@ fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
         let inputs = TickInputs {
             tick,
             now_ns,
-            late: false,
+            missed: 0,
             encoders: EncoderReadings {
                 lengths_m: &lengths,
                 valid: CableMask::first(lengths.len()),

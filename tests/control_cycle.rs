@@ -203,19 +203,22 @@ fn a_start_fails_by_name_when_drives_encoders_or_observer_do_not_come() {
 }
 
 #[test]
-fn late_ticks_hold_then_ramp_then_fault() {
+fn missed_deadlines_hold_then_ramp_then_fault() {
     let mut rig = holding();
-    rig.late = true;
+    rig.missed = 1;
     rig.run(2);
     assert_eq!(rig.cycle.tensions_n(), [40.0; 24], "held");
     rig.run(1);
     let first = rig.cycle.tensions_n()[0];
     assert!((first - (40.0 - 35.0 / 50.0)).abs() < 1e-12, "one fiftieth of the way: {first}");
-    rig.late = false;
+    rig.missed = 0;
+    rig.run(4);
+    let fifth = rig.cycle.tensions_n()[0];
+    assert!((fifth - (40.0 - 5.0 * 35.0 / 50.0)).abs() < 1e-12, "the ramp goes on until it is sure: {fifth}");
     rig.run(1);
     assert_eq!((rig.cycle.mode(), rig.cycle.tensions_n()[0]), (Mode::Holding, 40.0), "in time again");
-    rig.late = true;
-    rig.run(10);
+    rig.missed = 1;
+    rig.run(7);
     assert_eq!(rig.fault(), Some(Fault::Overruns { count: 10 }));
     assert_eq!(rig.cycle.mode(), Mode::Faulted);
 }
@@ -462,7 +465,7 @@ fn whatever_comes_in_tensions_stay_finite_and_inside_the_box() {
                 *offset = wild(&mut rng) * if tick % 50 > 40 { 1.0 } else { 0.0 };
             }
             rig.valid = CableMask(if rng.random_range(0..40) == 0 { rng.random() } else { u128::MAX });
-            rig.late = rng.random_range(0..10) == 0;
+            rig.missed = if rng.random_range(0..10) == 0 { rng.random_range(1..4) } else { 0 };
             rig.target = (rng.random_range(0..5) > 0).then(|| tip([wild(&mut rng), 0.0, -2.6], [0.0; 3]));
             rig.drives.fault = (rng.random_range(0..200) == 0).then_some((3, 1));
             rig.drives.bus_lost = (rng.random_range(0..200) == 0).then_some(0);

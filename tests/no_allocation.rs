@@ -45,8 +45,11 @@ impl Seen {
 }
 
 /// One tick of a day in the life of an arm, 2,000 ticks long: arm, hold, track a moving tip among moving obstacles, a
-/// shape, home, a lost client, late ticks, missing readings, a fault, clear, stop, disarm.
+/// shape, home, a lost client, missed deadlines, ticks left out, missing readings, a fault, clear, stop, disarm.
 fn live(rig: &mut Rig, seen: &mut Seen) {
+    if rig.tick % 2000 == 950 {
+        rig.tick += 7;
+    }
     let k = rig.tick % 2000;
     let t = k as f64 * PERIOD_S;
     let x = 0.28 + 0.1 * (0.5 * t).cos();
@@ -55,7 +58,7 @@ fn live(rig: &mut Rig, seen: &mut Seen) {
         0..600 => tip([0.08 * (0.4 * t).sin(), 0.05, -2.72], [0.032 * (0.4 * t).cos(), 0.0, 0.0]),
         _ => shape([0.2, 0.1, -0.2, 0.0, 0.1, 0.1, 0.0, 0.2]),
     });
-    rig.late = (900..905).contains(&k);
+    rig.missed = u32::from((900..905).contains(&k));
     rig.valid = CableMask::first(24);
     if (1000..1003).contains(&k) || (1500..1520).contains(&k) {
         rig.valid.remove(5);

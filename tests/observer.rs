@@ -315,6 +315,85 @@ fn latency_is_bridged_with_the_tensions_already_sent() {
     assert!(distance(&observer, &predicted) > 1e-5);
 }
 
+/// An observer that follows an arm pulled to one side, and the arm: after `ticks` ticks of 10 ms with the readings of each.
+fn following(set: &ObserverConfig, ticks: usize) -> (Observer, Arm, Stepper, Scheme, State, Vec<f64>) {
+    let config = ArmConfig::paper();
+    let mut observer = Observer::new(&config, set, PERIOD);
+    let arm = Arm::new(&config);
+    let u = tensions(&arm);
+    let mut truth = rest(&arm, &u);
+    observer.start(&lengths(&arm, &truth.q), &u).unwrap();
+    let pulled: Vec<f64> = u.iter().enumerate().map(|(c, u)| u + if c % 6 == 1 { 15.0 } else { 0.0 }).collect();
+    let (mut stepper, scheme) = (Stepper::new(&arm), Scheme::new(config.rho_inf));
+    for _ in 0..ticks {
+        step(&arm, &mut stepper, &scheme, &pulled, &mut truth, 1);
+        assert!(!observer.update(&pulled, &lengths(&arm, &truth.q)).failed);
+    }
+    (observer, arm, stepper, scheme, truth, pulled)
+}
+
+fn step(arm: &Arm, stepper: &mut Stepper, scheme: &Scheme, u: &[f64], truth: &mut State, periods: usize) {
+    for _ in 0..periods {
+        let mut next = truth.clone();
+        stepper.step(arm, scheme, PERIOD, truth, u, 6, &mut next).unwrap();
+        *truth = next;
+    }
+}
+
+#[test]
+fn an_update_over_several_periods_ends_where_as_many_updates_do() {
+    for periods in [2, 5, 10] {
+        let (mut often, arm, mut stepper, scheme, mut truth, u) = following(&settings(), 15);
+        let (mut once, mut short) = (often.clone(), often.clone());
+        let from = once.state().clone();
+        for _ in 0..periods {
+            step(&arm, &mut stepper, &scheme, &u, &mut truth, 1);
+            often.update(&u, &lengths(&arm, &truth.q));
+        }
+        let measured = lengths(&arm, &truth.q);
+        let update = once.update_over(&u, &measured, periods);
+        assert!(!update.failed && !update.beyond_bound && !update.growing, "{update:?}");
+        short.update(&u, &measured);
+        let tip = |s: &State| arm.tip(&s.q, &s.qd).position;
+        let error = |o: &Observer| (tip(o.state()) - tip(&truth)).norm();
+        let moved = (tip(&truth) - tip(&from)).norm();
+        assert!(moved > 1e-3 * f64::from(periods), "the arm is on its way: {moved} m");
+        // One long step damps more than many short ones; what is left of the way is a small part of it.
+        assert!(error(&once) < error(&often) + 0.04 * moved, "{} and {} of {moved}", error(&once), error(&often));
+        assert!(error(&short) > 4.0 * error(&once), "{} and {}", error(&short), error(&once));
+    }
+}
+
+#[test]
+fn over_several_periods_the_tensions_of_the_latency_act_for_as_long_as_they_did() {
+    let mut set = settings();
+    set.latency_ticks = 2;
+    let (observer, ..) = following(&set, 0);
+    let arm = observer.arm().clone();
+    let u = tensions(&arm);
+    let start = lengths(&arm, &rest(&arm, &u).q);
+    let with = |add: f64| u.iter().enumerate().map(|(c, u)| u + if c == 4 { add } else { 0.0 }).collect::<Vec<f64>>();
+    let after = |acts: &[f64], periods| {
+        let mut o = observer.clone();
+        o.start(&start, &u).unwrap();
+        // Two ticks' tensions are under way, and the third acts for what is left of five periods.
+        o.update(&with(0.0), &start);
+        o.update(&with(acts[0]), &start);
+        o.update(&with(acts[1]), &start);
+        o.update_over(&with(acts[2]), &start, periods);
+        o.state().clone()
+    };
+    let bend = |s: &State| bends(&arm, s);
+    // What acted: u, acts[0], acts[1], then acts[2] twice or, over two periods, not at all.
+    let mean = bend(&after(&[5.0, 5.0, 5.0], 5));
+    for same in [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [0.0, 0.0, 10.0]] {
+        let other = bend(&after(&same, 5));
+        let apart = largest(&mean.iter().zip(&other).map(|(a, b)| a - b).collect::<Vec<_>>());
+        assert!(apart < 1e-9 || apart < 1e-3 * largest(&other), "{same:?}: {mean:?} {other:?}");
+    }
+    assert_eq!(bend(&after(&[0.0, 0.0, 0.0], 2)), bend(&after(&[0.0, 0.0, 50.0], 2)), "it does not act yet");
+}
+
 #[test]
 fn start_and_update_do_not_allocate_whichever_cables_are_missing() {
     let config = ArmConfig::paper();
@@ -330,7 +409,7 @@ fn start_and_update_do_not_allocate_whichever_cables_are_missing() {
         for k in 0..50 {
             let cable = k % 24;
             found[cable] = if found[cable].is_nan() { measured[cable] } else { f64::NAN };
-            let update = observer.update(&u, &found);
+            let update = observer.update_over(&u, &found, 1 + (k % 3) as u32);
             assert!(!update.failed);
         }
     });

@@ -12,7 +12,8 @@ out, rates = Path(sys.argv[1]), [int(r) for r in sys.argv[2:]]
 PERMITTED = {1000: 1e-3}
 #: Largest tip error (mm) of an arm that tracks all the time; one that held meanwhile, for clients that were late, is far off.
 TIP_MM_MAX = 17.0
-STAGES = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle"]
+#: `cycle` ends when the torques have left; `report` is what follows, and what the next tick waits for.
+STAGES = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle", "report"]
 
 
 def load(name):
@@ -67,12 +68,12 @@ for rate in rates:
         if run is None or status is None:
             continue
     ticks = status["ticks"]
-    missed = status["missed"] + status["overran"]
+    missed = status["missed"]
     share = missed / ticks
     error = run["tip_error_m"]
     nearest = min(o["surface_distance_min_m"] for o in run["obstacles"])
     lines += [
-        f"- deadlines missed: **{missed} of {ticks} ({100 * share:.4f} %)**: {status['missed']} left out because the loop woke too "
+        f"- deadlines missed: **{missed} of {ticks} ({100 * share:.4f} %)**: {status['left_out']} left out because the loop woke too "
         f"late, {status['overran']} overran",
         f"- tip error mean {1e3 * error['norm_mean']:.2f}, max {1e3 * error['norm_max']:.2f} mm; nearest obstacle {1e3 * nearest:.1f} mm; "
         f"faults {run['faults'] or 'none'}; records dropped {status['records_dropped']}",

@@ -35,7 +35,7 @@ impl Status {
 }
 
 /// Stages in the order in which they happen.
-const STAGES: [&str; 7] = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle"];
+const STAGES: [&str; 8] = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle", "report"];
 
 fn text(r: &StatusReport) -> String {
     let mut out = String::new();
@@ -50,10 +50,11 @@ fn text(r: &StatusReport) -> String {
     }
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
-        "loop: {} ticks of {} ms ({clock}); deadlines missed: {} left out, {} overran; {} records dropped",
+        "loop: {} ticks of {} ms ({clock}); deadlines missed: {} ({} left out, {} overran); {} records dropped",
         r.ticks,
         1e3 * r.period_s,
         r.missed,
+        r.left_out,
         r.overran,
         r.records_dropped
     ));

@@ -65,9 +65,9 @@ impl Config {
             format!("{} ms ({:.0} Hz), {scheduling}{wake}", 1e3 * timing.period_s, 1.0 / timing.period_s),
         ));
         lines.push(line(
-            "late ticks",
+            "missed deadlines",
             format!(
-                "hold {}, ramp {} s, fault at {} in a row",
+                "hold up to {}, then ramp {} s, fault at {}",
                 timing.overruns_hold, timing.ramp_s, timing.overruns_fault
             ),
         ));

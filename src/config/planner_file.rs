@@ -87,7 +87,7 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
             POSITIVE_SECONDS,
             "s",
             "work counts only (scenario); what the period leaves (daemon)",
-            "Time budget of one planning step.",
+            "Time budget of one planning step, from its own beginning: inputs and observer come before it.",
         ),
         Key::optional("swarm", Kind::Table(swarm), "", "its defaults", "The particle swarm."),
     ]

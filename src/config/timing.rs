@@ -20,15 +20,21 @@ pub struct LoopConfig {
     pub wake_latency_s: Option<f64>,
     /// Refuse to start without what is asked for above; otherwise run on degraded and say so.
     pub require_realtime: bool,
-    /// Late ticks in a row during which the last tensions are held.
+    /// Missed deadlines, as far as not forgotten, up to which the last tensions are held.
     pub overruns_hold: u32,
     /// After that, time in which the tensions are ramped to their least value (s).
     pub ramp_s: f64,
-    /// Late ticks in a row after which the supervisor faults; greater than `overruns_hold`.
+    /// Missed deadlines, as far as not forgotten, at which the supervisor faults; more than `overruns_hold`.
     pub overruns_fault: u32,
-    /// Part of the period kept back for guard and sending (s); the planner gets what is left before it.
+    /// Part of the period kept back for guard, sending and the record (s); the planner gets what is left before it.
     pub reserve_s: f64,
 }
+
+/// Time without a torque in time after which it is no longer enough to hold (s), where nothing else is configured: a few
+/// ticks at 100 Hz, and at 1 kHz more than the longest stalls of a machine that is shared (5 ms in benches/results/loop).
+const HOLD_S: f64 = 0.02;
+/// The same for the fault (s): when the drives, too, give the daemon up (`drives.sync_timeout_s`).
+const FAULT_S: f64 = 0.1;
 
 /// `[loop]`.
 pub static LOOP: TableSpec = TableSpec {
@@ -68,49 +74,55 @@ pub static LOOP: TableSpec = TableSpec {
             "Refuse to start where processor, priority, memory lock or wake-up latency are not granted; otherwise run on \
              degraded.",
         ),
-        Key::default(
+        Key::optional(
             "overruns_hold",
             Kind::Integer(0, 1000),
-            "ticks",
-            "2",
-            "Late ticks in a row during which the last tensions are held.",
+            "deadlines",
+            "20 ms, at least 2",
+            "Missed deadlines up to which a tick that finds one missed holds the last tensions. A tick misses its own if it \
+             is left out or its torques leave after its period; five ticks that planned in time forget one miss.",
         ),
         Key::default(
             "ramp_s",
             Kind::Float(Range::above(0.0, 60.0)),
             "s",
             "0.5",
-            "After that, time in which the tensions are ramped to their least value.",
+            "Above that, time in which the tensions are ramped to their least value; planning is tried again when five ticks \
+             in a row were in time. Also the ramp of a stop and of a fault.",
         ),
-        Key::default(
+        Key::optional(
             "overruns_fault",
             Kind::Integer(1, 10000),
-            "ticks",
-            "10",
-            "Late ticks in a row after which the supervisor faults; greater than `overruns_hold`.",
+            "deadlines",
+            "0.1 s, at least 10",
+            "Missed deadlines, less those forgotten, at which the supervisor faults; greater than `overruns_hold`.",
         ),
         Key::default(
             "reserve_s",
             Kind::Float(Range::closed(0.0, 0.05)),
             "s",
             "0.0002",
-            "Part of the period kept back for guard and sending; at most half of it.",
+            "Part of the period kept back for what follows planning: guard, sending and the record (stages `guard`, `send` and \
+             `report` of `sinew status`); at most half of it.",
         ),
     ],
 };
 
 /// Reads `[loop]`.
 pub(super) fn read(table: &Section<'_>) -> LoopConfig {
+    let period_s = table.float("period_s");
+    // Rounded first: 0.02 s are 20 periods of 1 ms, not 20 and a bit.
+    let periods = |seconds: f64| (seconds / period_s).round() as usize;
     let config = LoopConfig {
-        period_s: table.float("period_s"),
+        period_s,
         cpu: table.count_opt("cpu"),
         priority: table.integer("priority") as u8,
         lock_memory: table.boolean("lock_memory"),
         wake_latency_s: table.float_opt("wake_latency_s"),
         require_realtime: table.boolean("require_realtime"),
-        overruns_hold: table.integer("overruns_hold") as u32,
+        overruns_hold: table.count_opt("overruns_hold").unwrap_or_else(|| periods(HOLD_S).clamp(2, 1000)) as u32,
         ramp_s: table.float("ramp_s"),
-        overruns_fault: table.integer("overruns_fault") as u32,
+        overruns_fault: table.count_opt("overruns_fault").unwrap_or_else(|| periods(FAULT_S).clamp(10, 10_000)) as u32,
         reserve_s: table.float("reserve_s"),
     };
     if config.overruns_fault <= config.overruns_hold {

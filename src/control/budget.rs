@@ -1,4 +1,4 @@
-//! How much time a tick may use (design, section 9): pure arithmetic on times that the caller read.
+//! How much time planning may use (design, section 9): pure arithmetic on times that the caller read.
 
 use super::settings::seconds_to_ns;
 use crate::config::LoopConfig;
@@ -47,21 +47,11 @@ impl Budget {
         scheduled_ns.saturating_add(self.period_ns)
     }
 
-    /// What is left for planning at `now_ns` (ns): until the send deadline less the reserve, at most the planner's own
-    /// limit; 0 when it is over.
+    /// What is left for planning that begins at `now_ns` (ns): until the send deadline less the reserve, at most the planner's
+    /// own limit; 0 when it is over. The reserve is for guard, sending and the record: the next tick cannot begin before.
     pub const fn left_ns(&self, scheduled_ns: u64, now_ns: u64) -> u64 {
         let left = self.send_deadline_ns(scheduled_ns).saturating_sub(self.reserve_ns).saturating_sub(now_ns);
         if left < self.most_ns { left } else { self.most_ns }
-    }
-
-    /// Time (ns) at which planning that begins at `now_ns` must end.
-    pub const fn plan_until_ns(&self, scheduled_ns: u64, now_ns: u64) -> u64 {
-        now_ns.saturating_add(self.left_ns(scheduled_ns, now_ns))
-    }
-
-    /// Whether a tick that was scheduled for `scheduled_ns` and begins at `now_ns` is late: the next one is due already.
-    pub const fn is_late(&self, scheduled_ns: u64, now_ns: u64) -> bool {
-        now_ns >= self.send_deadline_ns(scheduled_ns)
     }
 }
 
@@ -79,7 +69,6 @@ mod tests {
         assert_eq!(b.send_deadline_ns(5_000), 6_000);
         assert_eq!(b.left_ns(5_000, 5_000), 800);
         assert_eq!(b.left_ns(5_000, 5_300), 500);
-        assert_eq!(b.plan_until_ns(5_000, 5_300), 5_800);
     }
 
     #[test]
@@ -87,8 +76,6 @@ mod tests {
         let b = budget(None);
         assert_eq!(b.left_ns(5_000, 5_800), 0);
         assert_eq!(b.left_ns(5_000, u64::MAX), 0);
-        assert_eq!(b.plan_until_ns(5_000, 9_000), 9_000);
-        assert!(!b.is_late(5_000, 5_999) && b.is_late(5_000, 6_000));
     }
 
     #[test]

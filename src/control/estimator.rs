@@ -37,12 +37,12 @@ pub trait Estimator {
     /// [`EstimatorFailure::NoStart`].
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure>;
 
-    /// Advances by one period to the time of `lengths_m` (m); one that is not finite is no reading. `sent_n` are the tensions
-    /// (N) sent in the tick before, zero where the drives gave no torque.
+    /// Advances by so many periods, one but after ticks left out, to the time of `lengths_m` (m); one that is not finite is
+    /// no reading. `sent_n` are the tensions (N) sent in the tick before, zero where the drives gave no torque.
     ///
     /// # Errors
     /// [`EstimatorFailure::Step`].
-    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure>;
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure>;
 
     /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
@@ -71,8 +71,8 @@ impl Estimator for Observer {
         Self::start(self, lengths_m, tensions_n).map_err(|_| EstimatorFailure::NoStart)
     }
 
-    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64]) -> Result<Estimate, EstimatorFailure> {
-        let update = Self::update(self, sent_n, lengths_m);
+    fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure> {
+        let update = Self::update_over(self, sent_n, lengths_m, periods);
         if update.failed {
             return Err(EstimatorFailure::Step);
         }

@@ -87,9 +87,9 @@ pub enum Fault {
     },
     /// A target that is not a finite number reached the loop.
     TargetNotFinite,
-    /// Too many late ticks in a row.
+    /// Too many deadlines missed.
     Overruns {
-        /// Ticks in a row.
+        /// Missed and not forgotten (`control::overruns`).
         count: u32,
     },
 }
@@ -173,7 +173,7 @@ impl Fault {
             Self::TensionOutside { .. } => "a planned tension lies outside its box",
             Self::PlanSingular { .. } => "the planner failed several times in a row",
             Self::TargetNotFinite => "a target that is not a number reached the loop",
-            Self::Overruns { .. } => "too many late ticks in a row",
+            Self::Overruns { .. } => "too many deadlines missed",
         }
     }
 
@@ -235,7 +235,7 @@ impl fmt::Display for Fault {
                 write!(f, "the planned tension of cable {cable}, {tension_n:.6} N, lies outside its box")
             }
             Self::PlanSingular { count } => write!(f, "the planner failed {count} times in a row"),
-            Self::Overruns { count } => write!(f, "{count} late ticks in a row"),
+            Self::Overruns { count } => write!(f, "{count} deadlines missed"),
             Self::DrivesLost | Self::NoStart | Self::EstimateLost | Self::TargetNotFinite => f.write_str(self.what()),
         }
     }
@@ -251,9 +251,9 @@ pub enum Limit {
     TargetStale = 1,
     /// The guard limits the change of a tension per tick.
     RateLimited = 2,
-    /// A late tick: the last tensions are held.
+    /// A deadline was missed: the last tensions are held.
     OverrunHold = 3,
-    /// Several late ticks: the tensions are ramped down.
+    /// Several were: the tensions are ramped down.
     OverrunRamp = 4,
     /// The time budget ended the planning step.
     BudgetSpent = 5,
@@ -290,8 +290,8 @@ impl Limit {
             Self::ObstaclesExpired => "obstacles unknown or too old: holding",
             Self::TargetStale => "target absent or too old: holding",
             Self::RateLimited => "tension rate limited",
-            Self::OverrunHold => "late tick: last tensions held",
-            Self::OverrunRamp => "late ticks: tensions ramped down",
+            Self::OverrunHold => "deadline missed: last tensions held",
+            Self::OverrunRamp => "deadlines missed: tensions ramped down",
             Self::BudgetSpent => "planning budget spent",
             Self::Relaxed => "distance constraints relaxed",
             Self::PlanSingular => "planning step failed: last tensions kept",

@@ -23,6 +23,7 @@ pub mod fault;
 pub mod friction;
 pub mod guard;
 pub mod obstacles;
+pub mod overruns;
 pub mod ramp;
 pub mod record;
 pub mod settings;

@@ -56,8 +56,8 @@ pub struct Record {
     pub limits: Limits,
     /// Drives.
     pub drives: DrivesPhase,
-    /// Late ticks in a row.
-    pub late_in_row: u32,
+    /// Missed deadlines that are not forgotten.
+    pub deadlines_missed: u32,
     /// Events that were overwritten before they were taken.
     pub events_dropped: u64,
     /// The planner's report; `None` where it did not run.
@@ -136,7 +136,7 @@ impl Default for Record {
             fault_count: 0,
             limits: Limits::default(),
             drives: DrivesPhase::Off,
-            late_in_row: 0,
+            deadlines_missed: 0,
             events_dropped: 0,
             plan: None,
             observing: false,

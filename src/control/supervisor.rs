@@ -24,7 +24,7 @@
 //! | Tracking | target absent or too old (`TargetStale`), obstacles expired (`ObstaclesExpired`) | -> Holding |
 //! | Homing | home reached; obstacles expired | -> Holding |
 //! | Stopping | ramp over, drives off | -> Disarmed |
-//! | Holding, Tracking, Homing | late ticks in a row: up to `overruns_hold`; up to `overruns_fault`; then | last tensions held; ramp to the safe tension until a tick is in time; fault `Overruns` |
+//! | Holding, Tracking, Homing | deadlines missed, see [`super::overruns`]: up to `overruns_hold`; above; `overruns_fault` | last tensions held for a tick; ramp to the safe tension, until five ticks in a row were in time; fault `Overruns` |
 //!
 //! A hold is left by a request only: an arm that waited for a lost client must not start by itself when it is back.
 //! Faults while disarmed are not latched, for nothing moves; they keep `arm` from succeeding. `clear` needs the bus and
@@ -34,6 +34,7 @@
 use super::event::{Event, EventKind, EventRing};
 use super::fault::{Fault, FaultLatch, FaultList, Limit, Limits};
 use super::obstacles::ObstacleDemand;
+use super::overruns::{Demand, Overruns};
 use super::settings::seconds_to_ns;
 use crate::config::{LoopConfig, ObserverConfig};
 
@@ -212,8 +213,8 @@ pub struct Observed {
     pub at_safe_tension: bool,
     /// Whether the home pose is reached; looked at in [`Mode::Homing`].
     pub at_home: bool,
-    /// Whether this tick began when the next one was due.
-    pub late: bool,
+    /// Deadlines missed since the tick before: ticks left out, and that tick itself if its torques left after its period.
+    pub missed: u32,
 }
 
 /// What the cycle shall do in a tick.
@@ -255,15 +256,13 @@ pub struct Supervisor {
     entered_ns: u64,
     /// Stopping, Faulted: the tensions are still to be ramped down.
     ramping: bool,
-    late_in_row: u32,
+    overruns: Overruns,
     /// A limit that led to the present hold.
     held_by: Limits,
     latch: FaultLatch,
     events: EventRing,
     limits: Limits,
     settle_timeout_ns: u64,
-    overruns_hold: u32,
-    overruns_fault: u32,
 }
 
 impl Supervisor {
@@ -273,14 +272,12 @@ impl Supervisor {
             mode: Mode::Disarmed,
             entered_ns: 0,
             ramping: false,
-            late_in_row: 0,
+            overruns: Overruns::new(timing),
             held_by: Limits::default(),
             latch: FaultLatch::default(),
             events: EventRing::default(),
             limits: Limits::default(),
             settle_timeout_ns: seconds_to_ns(observer.settle_timeout_s),
-            overruns_hold: timing.overruns_hold,
-            overruns_fault: timing.overruns_fault,
         }
     }
 
@@ -294,9 +291,9 @@ impl Supervisor {
         &self.latch
     }
 
-    /// Late ticks in a row.
-    pub const fn late_in_row(&self) -> u32 {
-        self.late_in_row
+    /// Missed deadlines that are not forgotten, see [`super::overruns`].
+    pub fn deadlines_missed(&self) -> u32 {
+        self.overruns.count()
     }
 
     /// What happened; the caller takes the events out.
@@ -306,7 +303,7 @@ impl Supervisor {
 
     /// One tick: faults first, then the request, then what happens by itself. Does not allocate.
     pub fn step(&mut self, seen: &Observed) -> Decision {
-        self.late_in_row = if seen.late && self.mode.is_planning() { self.late_in_row.saturating_add(1) } else { 0 };
+        self.overruns.begin(self.mode.is_planning(), seen.missed);
         self.find_faults(seen);
         let mut reset = false;
         // `progress` speaks of a start that was under way when the tick began.
@@ -318,9 +315,10 @@ impl Supervisor {
             answer
         });
         self.advance(seen, starting);
-        let (action, late) = self.action();
+        let (action, overrun) = self.action();
+        self.overruns.end(matches!(action, Action::Hold | Action::Track | Action::Home));
         let mut limits = self.held_by;
-        late.into_iter().for_each(|limit| limits.insert(limit));
+        overrun.into_iter().for_each(|limit| limits.insert(limit));
         let drives = match action {
             Action::Off if reset => DrivesCommand::Reset,
             Action::Off => DrivesCommand::Off,
@@ -360,7 +358,6 @@ impl Supervisor {
     fn change(&mut self, to: Mode, cause: Cause, tick: u64, now_ns: u64) {
         let from = std::mem::replace(&mut self.mode, to);
         self.entered_ns = now_ns;
-        self.late_in_row = 0;
         self.held_by = match cause {
             Cause::Limit(limit) => Limits(1 << limit as u32),
             _ => Limits::default(),
@@ -398,8 +395,8 @@ impl Supervisor {
                 Progress::Tensions | Progress::Settling => raise(self, Fault::NotSettled { after_s }),
             }
         }
-        if self.mode.is_planning() && self.late_in_row >= self.overruns_fault {
-            raise(self, Fault::Overruns { count: self.late_in_row });
+        if self.mode.is_planning() && self.overruns.is_fault() {
+            raise(self, Fault::Overruns { count: self.overruns.count() });
         }
     }
 
@@ -502,10 +499,10 @@ impl Supervisor {
             Mode::Tracking => Action::Track,
             Mode::Homing => Action::Home,
         };
-        match self.late_in_row {
-            0 => (plan, None),
-            n if n <= self.overruns_hold => (Action::Keep, Some(Limit::OverrunHold)),
-            _ => (Action::Ramp, Some(Limit::OverrunRamp)),
+        match self.overruns.demand() {
+            Demand::Plan => (plan, None),
+            Demand::Hold => (Action::Keep, Some(Limit::OverrunHold)),
+            Demand::Ramp => (Action::Ramp, Some(Limit::OverrunRamp)),
         }
     }
 }

@@ -26,7 +26,7 @@ fn well() -> Observed {
         obstacles: ObstacleDemand::Proceed,
         at_safe_tension: false,
         at_home: false,
-        late: false,
+        missed: 0,
     }
 }
 
@@ -332,29 +332,49 @@ fn clear_resets_a_faulted_drive_although_its_encoder_is_silent() {
 }
 
 #[test]
-fn late_ticks_hold_then_ramp_then_fault_and_a_tick_in_time_ends_it() {
+fn missed_deadlines_hold_then_ramp_then_fault_and_ticks_in_time_end_it() {
     for mode in [Mode::Holding, Mode::Tracking, Mode::Homing] {
         let mut s = in_mode(mode);
-        let late = Observed { late: true, ..well() };
-        let actions: Vec<Action> = (0..4).map(|_| s.step(&late).action).collect();
+        let missed = Observed { missed: 1, ..well() };
+        let actions: Vec<Action> = (0..4).map(|_| s.step(&missed).action).collect();
         assert_eq!(actions, [Action::Keep, Action::Keep, Action::Ramp, Action::Ramp]);
-        assert_eq!(s.mode(), mode);
-        assert!(!matches!(s.step(&well()).action, Action::Keep | Action::Ramp), "in time again");
-        let actions: Vec<Action> = (0..5).map(|_| s.step(&late).action).collect();
-        assert_eq!(actions, [Action::Keep, Action::Keep, Action::Ramp, Action::Ramp, Action::Ramp]);
-        assert_eq!(s.mode(), Mode::Faulted);
+        assert_eq!((s.mode(), s.deadlines_missed()), (mode, 4));
+        // Four more ticks in time of the ramp, then the plan.
+        let actions: Vec<Action> = (0..5).map(|_| s.step(&well()).action).collect();
+        assert_eq!(actions[..4], [Action::Ramp; 4]);
+        assert!(!matches!(actions[4], Action::Keep | Action::Ramp), "in time again");
+        let decision = s.step(&missed);
+        assert_eq!((decision.action, s.mode()), (Action::Ramp, Mode::Faulted), "the fifth");
         assert_eq!(s.latch().first.unwrap().fault, Fault::Overruns { count: 5 });
     }
 }
 
 #[test]
-fn late_ticks_without_planning_do_not_count() {
+fn deadlines_missed_together_count_each() {
+    let mut s = in_mode(Mode::Holding);
+    let decision = s.step(&Observed { missed: 4, ..well() });
+    assert!(decision.limits.contains(Limit::OverrunRamp) && s.mode() == Mode::Holding);
+    let mut s = in_mode(Mode::Holding);
+    s.step(&Observed { missed: 5, ..well() });
+    assert_eq!(s.latch().first.unwrap().fault, Fault::Overruns { count: 5 });
+}
+
+#[test]
+fn a_request_that_changes_what_is_planned_does_not_forget_missed_deadlines() {
+    let mut s = in_mode(Mode::Holding);
+    s.step(&Observed { missed: 2, ..well() });
+    let decision = s.step(&Observed { missed: 2, request: Some(Request::Track), ..well() });
+    assert_eq!((s.mode(), decision.action, s.deadlines_missed()), (Mode::Tracking, Action::Ramp, 4));
+}
+
+#[test]
+fn deadlines_missed_without_planning_do_not_count() {
     for mode in [Mode::Disarmed, Mode::Starting, Mode::Stopping] {
         let mut s = in_mode(mode);
         for _ in 0..20 {
-            s.step(&Observed { late: true, progress: Progress::Settling, ..well() });
+            s.step(&Observed { missed: 3, progress: Progress::Settling, ..well() });
         }
-        assert_eq!((s.mode(), s.late_in_row()), (mode, 0));
+        assert_eq!((s.mode(), s.deadlines_missed()), (mode, 0));
     }
 }
 

@@ -1,6 +1,8 @@
 //! The control thread: when a tick begins, and what becomes of late ones.
 
+use super::deadlines::Deadlines;
 use super::link::Progress;
+use super::statistics::AfterSending;
 use super::tick::{AutoRequests, Controller, Parts, TickTime, Ticked, budget, period_ns};
 use super::warm_up::warm_up;
 use crate::config::Config;
@@ -9,6 +11,7 @@ use crate::estimator::Observer;
 use crate::ipc::{ControlInputs, ControlOutputs, LockstepSources};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use rtrb::Producer;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
@@ -40,6 +43,8 @@ pub(crate) struct Plan {
     pub(crate) around_tick: Option<fn(&mut dyn FnMut())>,
     pub(crate) sources: LockstepSources,
     pub(crate) lockstep_timeout: Duration,
+    /// Where the times after sending go.
+    pub(crate) after: Producer<AfterSending>,
     pub(crate) progress: Arc<Progress>,
 }
 
@@ -61,7 +66,7 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
         WakeLatency::at_most(Duration::from_secs_f64(longest_s)).map_err(|refused| report.refused.push(refused)).ok()
     });
     let observer = Observer::new(&plan.config.arm, &plan.config.observer, timing.period_s);
-    let (ticks, around) = (plan.ticks, plan.around_tick);
+    let (ticks, around) = (plan.ticks, Around { hook: plan.around_tick, after: plan.after });
     let parts = Parts {
         cycle: Cycle::new(&plan.settings, observer),
         inputs: plan.inputs,
@@ -91,6 +96,31 @@ pub(crate) fn run(plan: Plan, granted: &Sender<Report>, writer: &Receiver<CycleW
     plan.progress.end(last.is_some_and(|ticked| ticked.mode == Mode::Faulted));
 }
 
+/// What goes on around a tick: the hook of a test, and the clock behind its end.
+struct Around {
+    hook: Option<fn(&mut dyn FnMut())>,
+    after: Producer<AfterSending>,
+}
+
+impl Around {
+    /// A tick; `None` where the hook left it out.
+    fn run(&mut self, mut tick: impl FnMut() -> Ticked) -> Option<Ticked> {
+        let (mut last, after) = (None, &mut self.after);
+        let mut timed = || {
+            let ticked = tick();
+            let report_ns = monotonic_ns().saturating_sub(ticked.sent_ns);
+            // Where nobody has looked for thousands of ticks the statistics go without.
+            let _ = after.push(AfterSending { branch: ticked.branch, report_ns });
+            last = Some(ticked);
+        };
+        match self.hook {
+            Some(hook) => hook(&mut timed),
+            None => timed(),
+        }
+        last
+    }
+}
+
 /// Whether the ordered stop is over.
 struct Stopping {
     since_ns: Option<u64>,
@@ -118,51 +148,40 @@ impl Stopping {
     }
 }
 
-/// Absolute deadlines. A tick that begins when the next one is due is late; those that were due meanwhile are left out
-/// and counted, never replayed.
+/// Absolute deadlines, see [`Deadlines`]. Every missed one counts for the supervisor, also those that the loop's own
+/// computing missed.
 fn run_realtime(
     controller: &mut Controller<Observer>,
     writer: &mut CycleWriter,
     config: &Config,
     ticks: u64,
-    around: Option<fn(&mut dyn FnMut())>,
+    mut around: Around,
     progress: &Progress,
 ) -> Option<Ticked> {
     let (period_ns, budget) = (period_ns(config), budget(config));
-    let start_ns = monotonic_ns() + 2 * period_ns;
+    let mut deadlines = Deadlines::new(monotonic_ns() + 2 * period_ns, period_ns);
     let mut stopping = Stopping::new(config);
-    let (mut tick, mut missed, mut last) = (0_u64, 0_u64, None);
+    let mut last: Option<Ticked> = None;
     loop {
-        let stop = progress.stop.load(Ordering::Acquire) || tick >= ticks;
+        let stop = progress.stop.load(Ordering::Acquire) || deadlines.tick() >= ticks;
         if stopping.is_over(stop, last.as_ref()) {
             return last;
         }
-        let mut scheduled_ns = start_ns + tick * period_ns;
-        Monotonic.sleep_until(scheduled_ns);
+        Monotonic.sleep_until(deadlines.due_ns());
         let woke_ns = monotonic_ns();
-        let wakeup_ns = woke_ns.saturating_sub(scheduled_ns);
-        let late = budget.is_late(scheduled_ns, woke_ns);
-        if late {
-            let skipped = wakeup_ns / period_ns;
-            tick += skipped;
-            missed += skipped;
-            scheduled_ns += skipped * period_ns;
-        }
+        let begun = deadlines.begin(woke_ns);
         let time = TickTime {
-            tick,
-            now_ns: scheduled_ns,
+            tick: begun.tick,
+            now_ns: begun.scheduled_ns,
             woke_ns,
-            wakeup_ns,
-            late,
-            plan_until_ns: Some(budget.plan_until_ns(scheduled_ns, woke_ns)),
-            missed,
+            wakeup_ns: begun.wakeup_ns,
+            missed: begun.missed,
+            budget: Some(budget),
+            left_out: begun.left_out,
         };
-        match around {
-            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
-            None => last = Some(controller.tick(&time, stop, writer)),
-        }
-        tick += 1;
-        progress.ticks.store(tick, Ordering::Release);
+        last = around.run(|| controller.tick(&time, stop, writer)).or(last);
+        deadlines.end(last.as_ref().map_or(woke_ns, |ticked| ticked.sent_ns));
+        progress.ticks.store(deadlines.tick(), Ordering::Release);
     }
 }
 
@@ -173,7 +192,7 @@ fn run_lockstep(
     mut gate: Gate,
     config: &Config,
     ticks: u64,
-    around: Option<fn(&mut dyn FnMut())>,
+    mut around: Around,
     progress: &Progress,
 ) -> Option<Ticked> {
     let period_ns = period_ns(config);
@@ -193,14 +212,11 @@ fn run_lockstep(
             now_ns: tick * period_ns,
             woke_ns,
             wakeup_ns: woke_ns.saturating_sub(began_ns),
-            late: false,
-            plan_until_ns: None,
             missed: 0,
+            budget: None,
+            left_out: 0,
         };
-        match around {
-            Some(around) => around(&mut || last = Some(controller.tick(&time, stop, writer))),
-            None => last = Some(controller.tick(&time, stop, writer)),
-        }
+        last = around.run(|| controller.tick(&time, stop, writer)).or(last);
         tick += 1;
         progress.ticks.store(tick, Ordering::Release);
     }

@@ -14,7 +14,7 @@
 //! The control thread allocates, locks and formats nothing once its first tick has begun, and touches no port: inputs come
 //! through triple buffers, torques leave by its own handles of the buses, records through a ring that drops and counts
 //! when it is full. `setup` turns the configuration into buses and drives, `tick` is the real path of a tick,
-//! `control_thread` says when it runs, `bus_thread` is the drives' side, `obstacles` builds what must not be built on
+//! `control_thread` says when it runs and `deadlines` what it missed, `bus_thread` is the drives' side, `obstacles` builds what must not be built on
 //! the control thread, `records` translates, `status` and `statistics` tell about it, `warm_up` walks every path once.
 //!
 //! # Lockstep
@@ -26,6 +26,7 @@
 
 mod bus_thread;
 mod control_thread;
+mod deadlines;
 mod drive_causes;
 mod error;
 mod heart;
@@ -39,8 +40,10 @@ mod taps;
 mod threads;
 mod tick;
 mod warm_up;
+mod watch;
 
 pub use bus_thread::ENCODER_SOURCE_ID;
+pub use deadlines::overran;
 pub use drive_causes::cause_text;
 pub use error::DaemonError;
 pub use heart::Heart;
@@ -213,7 +216,8 @@ impl Daemon {
             None => None,
         };
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
-        let taps = Taps { pairs, notes: TickNotes::new(shared.clone()), recorder };
+        let (notes, after) = TickNotes::new(shared.clone());
+        let taps = Taps { pairs, notes, recorder };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.io = Some(spawn("sinew-io", below(2), {
@@ -246,6 +250,7 @@ impl Daemon {
             around_tick: options.around_tick,
             sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
             lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
+            after,
             progress: progress.clone(),
         };
         daemon.control = Some(spawn("sinew-control", 0, move || control_thread::run(plan, &granted, &from_bus))?);

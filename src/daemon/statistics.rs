@@ -1,12 +1,16 @@
 //! Distributions of the loop's times, per branch of the planner; fed from records, never on the control thread.
 
-use crate::ipc::payload::{PlannerBranch, State};
+use super::deadlines::overran;
+use crate::ipc::payload::{PlannerBranch, State, SupervisorState};
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Stages of a tick.
-const STAGES: [&str; 7] = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle"];
+/// Stages of a tick, those of its record first. `cycle` is from the wake-up to the end of sending; `report` is what the
+/// control thread does after it: distances, the record and its way out. What a tick takes is both.
+const STAGES: [&str; 8] = ["wakeup", "input", "estimate", "plan", "guard", "send", "cycle", "report"];
+/// Those of the record.
+const RECORDED: usize = STAGES.len() - 1;
 /// Longest time told apart (ns); what is longer counts as this.
 const LONGEST_NS: u64 = 100_000_000_000;
 
@@ -28,51 +32,97 @@ pub struct Percentiles {
 /// Stage to distribution.
 pub type Stages = BTreeMap<String, Percentiles>;
 
+/// What a tick planned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Branch {
+    /// Nothing: there was nothing to plan.
+    Idle,
+    /// Nothing: deadlines had been missed, and the tensions were held or ramped.
+    Late,
+    /// In the safe subspace.
+    Safe,
+    /// In the warning subspace.
+    Warning,
+}
+
+impl Branch {
+    pub(crate) fn of(state: &State) -> Self {
+        match PlannerBranch::from_wire(state.planner_branch) {
+            Some(PlannerBranch::Safe) => Self::Safe,
+            None | Some(PlannerBranch::None) => match SupervisorState::from_wire(state.supervisor) {
+                Some(SupervisorState::Holding | SupervisorState::Tracking | SupervisorState::Homing) => Self::Late,
+                _ => Self::Idle,
+            },
+            Some(_) => Self::Warning,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Idle => "idle",
+            Self::Late => "late",
+            Self::Safe => "safe",
+            Self::Warning => "warning",
+        }
+    }
+}
+
+/// The time after sending of a tick, which is over only when its record has left.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AfterSending {
+    pub(crate) branch: Branch,
+    pub(crate) report_ns: u64,
+}
+
 /// Times of a tick: what of a record the histograms need.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Times {
-    branch: &'static str,
-    stages_ns: [u64; STAGES.len()],
+    branch: Branch,
+    stages_ns: [u64; RECORDED],
 }
 
 impl Times {
     pub(crate) fn of(state: &State) -> Self {
         let t = &state.timing;
-        let branch = match PlannerBranch::from_wire(state.planner_branch) {
-            None | Some(PlannerBranch::None) => "idle",
-            Some(PlannerBranch::Safe) => "safe",
-            Some(_) => "warning",
-        };
         let stages_ns = [t.wakeup_ns, t.input_ns, t.estimate_ns, t.plan_ns, t.guard_ns, t.send_ns, t.cycle_ns];
-        Self { branch, stages_ns }
+        Self { branch: Branch::of(state), stages_ns }
     }
 
-    /// Whether the torques left after the end of their period. The wake-up's delay counts from the tick that was due
-    /// first; those left out since are counted as missed, and this one belongs to the last.
+    /// Whether the torques left after the end of their period.
     fn overran(&self, period_ns: u64) -> bool {
         let [wakeup_ns, .., cycle_ns] = self.stages_ns;
-        wakeup_ns % period_ns.max(1) + cycle_ns > period_ns
+        overran(wakeup_ns, cycle_ns, period_ns)
     }
 }
 
 /// Histograms of every stage by branch.
 #[derive(Debug, Default)]
 pub(crate) struct Statistics {
-    branches: BTreeMap<&'static str, Vec<Histogram<u64>>>,
+    branches: BTreeMap<Branch, Vec<Histogram<u64>>>,
     overran: u64,
 }
 
 impl Statistics {
     /// Counts a tick; `period_ns` is 0 in lockstep, where nothing is due.
     pub(crate) fn note(&mut self, times: &Times, period_ns: u64) {
-        let histograms = self.branches.entry(times.branch).or_insert_with(|| {
-            // 1 ns to 100 s with three digits: valid bounds, so that none is missing.
-            STAGES.iter().filter_map(|_| Histogram::new_with_bounds(1, LONGEST_NS, 3).ok()).collect()
-        });
-        for (histogram, time) in histograms.iter_mut().zip(times.stages_ns) {
+        for (histogram, time) in self.histograms(times.branch).iter_mut().zip(times.stages_ns) {
             histogram.saturating_record(time);
         }
-        self.overran += u64::from(period_ns > 0 && times.overran(period_ns));
+        self.overran += u64::from(times.overran(period_ns));
+    }
+
+    /// Counts what followed.
+    pub(crate) fn note_after(&mut self, after: &AfterSending) {
+        if let Some(histogram) = self.histograms(after.branch).last_mut() {
+            histogram.saturating_record(after.report_ns);
+        }
+    }
+
+    fn histograms(&mut self, branch: Branch) -> &mut Vec<Histogram<u64>> {
+        self.branches.entry(branch).or_insert_with(|| {
+            // 1 ns to 100 s with three digits: valid bounds, so that none is missing.
+            STAGES.iter().filter_map(|_| Histogram::new_with_bounds(1, LONGEST_NS, 3).ok()).collect()
+        })
     }
 
     /// Ticks whose torques left after the end of their period.
@@ -92,7 +142,7 @@ impl Statistics {
         let stages = |h: &Vec<Histogram<u64>>| {
             STAGES.iter().zip(h).map(|(stage, h)| ((*stage).to_owned(), percentiles(h))).collect()
         };
-        self.branches.iter().map(|(branch, h)| ((*branch).to_owned(), stages(h))).collect()
+        self.branches.iter().map(|(branch, h)| (branch.name().to_owned(), stages(h))).collect()
     }
 }
 
@@ -119,20 +169,44 @@ mod tests {
     }
 
     #[test]
-    fn torques_that_leave_after_the_period_are_counted_once_and_those_of_a_tick_that_was_left_out_not() {
-        const PERIOD_NS: u64 = 1_000_000;
-        let overran = |wakeup_ns, cycle_ns| {
-            let mut statistics = Statistics::default();
-            let mut state = State::default();
-            (state.timing.wakeup_ns, state.timing.cycle_ns) = (wakeup_ns, cycle_ns);
-            statistics.note(&Times::of(&state), PERIOD_NS);
-            statistics.overran()
+    fn a_tick_that_held_because_it_was_late_is_not_idle() {
+        use SupervisorState::{Arming, Disarmed, Faulted, Holding, Homing, Stopping, Tracking};
+        let branch = |supervisor: SupervisorState, planned: PlannerBranch| {
+            let (supervisor, planner_branch) = (supervisor.wire(), planned.wire());
+            Branch::of(&State { supervisor, planner_branch, ..State::default() }).name()
         };
-        assert_eq!(overran(0, PERIOD_NS), 0);
-        assert_eq!(overran(1, PERIOD_NS), 1);
-        assert_eq!(overran(400_000, 700_000), 1);
-        // Three ticks were left out, and the one that ran was in time.
-        assert_eq!(overran(3 * PERIOD_NS + 100_000, 700_000), 0);
-        assert_eq!(overran(3 * PERIOD_NS + 400_000, 700_000), 1);
+        for supervisor in [Holding, Tracking, Homing] {
+            assert_eq!(branch(supervisor, PlannerBranch::None), "late", "{supervisor:?}");
+            assert_eq!(branch(supervisor, PlannerBranch::Safe), "safe");
+            assert_eq!(branch(supervisor, PlannerBranch::Swarm), "warning");
+        }
+        for supervisor in [Disarmed, Arming, Stopping, Faulted] {
+            assert_eq!(branch(supervisor, PlannerBranch::None), "idle", "{supervisor:?}");
+        }
+    }
+
+    #[test]
+    fn what_follows_sending_is_a_stage_of_its_own() {
+        let mut statistics = Statistics::default();
+        let mut state = State::default();
+        (state.timing.cycle_ns, state.planner_branch) = (300_000, PlannerBranch::Safe.wire());
+        statistics.note(&Times::of(&state), 0);
+        assert_eq!(statistics.stages()["safe"]["report"].count, 0);
+        statistics.note_after(&AfterSending { branch: Branch::Safe, report_ns: 40_000 });
+        let stages = statistics.stages();
+        let (cycle, report) = (stages["safe"]["cycle"], stages["safe"]["report"]);
+        assert_eq!((cycle.count, report.count), (1, 1));
+        assert!((report.max - 40.0).abs() < 0.1 && (cycle.max - 300.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn torques_that_left_after_their_period_are_counted() {
+        let mut statistics = Statistics::default();
+        let mut state = State::default();
+        (state.timing.wakeup_ns, state.timing.cycle_ns) = (400_000, 700_000);
+        statistics.note(&Times::of(&state), 1_000_000);
+        statistics.note(&Times::of(&state), 2_000_000);
+        statistics.note(&Times::of(&state), 0);
+        assert_eq!(statistics.overran(), 1);
     }
 }

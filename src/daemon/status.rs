@@ -5,9 +5,10 @@
 //! nothing behind. One connection, one report, closed.
 
 use super::error::DaemonError;
-use super::statistics::{Stages, Statistics, Times};
+use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -108,8 +109,10 @@ pub struct StatusReport {
     pub ticks: u64,
     /// Period (s).
     pub period_s: f64,
-    /// Ticks left out because the loop was late: deadlines missed before the tick began.
+    /// Deadlines missed: the two below together.
     pub missed: u64,
+    /// Ticks left out because the loop was late: deadlines missed before the tick began.
+    pub left_out: u64,
     /// Ticks whose torques left after the end of their period: deadlines missed by the tick itself.
     pub overran: u64,
     /// Records and events that found their queue full.
@@ -130,7 +133,8 @@ pub struct StatusReport {
     pub obstacles: Vec<SourceStatus>,
     /// Obstacle sets refused because all places for sources are taken.
     pub obstacle_sources_refused: u64,
-    /// Time per tick (us), by branch of the planner, then by stage.
+    /// Time per tick (us), by what it planned (`safe`, `warning`; `late` where it held or ramped because deadlines had been
+    /// missed; `idle`), then by stage. `cycle` ends when the torques have left; `report` is what follows.
     pub time_us: BTreeMap<String, Stages>,
     /// Threads of the daemon, with what they did since the first tick.
     pub threads: Vec<ThreadReport>,
@@ -185,12 +189,15 @@ pub(crate) struct TickNotes {
     shared: Arc<Shared>,
     period_ns: u64,
     kept: Vec<Times>,
+    after: Consumer<AfterSending>,
 }
 
 impl TickNotes {
-    pub(crate) fn new(shared: Arc<Shared>) -> Self {
+    /// With the control thread's end for what no record can tell.
+    pub(crate) fn new(shared: Arc<Shared>) -> (Self, Producer<AfterSending>) {
         let period_ns = if shared.fixed.lockstep { 0 } else { (1e9 * shared.fixed.period_s).round() as u64 };
-        Self { shared, period_ns, kept: Vec::with_capacity(KEPT) }
+        let (to, after) = RingBuffer::new(KEPT);
+        (Self { shared, period_ns, kept: Vec::with_capacity(KEPT), after }, to)
     }
 
     pub(crate) fn note(&mut self, state: &State) {
@@ -204,6 +211,9 @@ impl TickNotes {
         };
         let Ticks { statistics, state: newest, baseline } = &mut *ticks;
         self.kept.drain(..).for_each(|times| statistics.note(&times, self.period_ns));
+        while let Ok(after) = self.after.pop() {
+            statistics.note_after(&after);
+        }
         match newest {
             Some(place) => **place = *state,
             None => (*newest, *baseline) = (Some(Box::new(*state)), Baseline::now()),
@@ -278,7 +288,8 @@ impl Shared {
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
             ticks: done,
             period_s: fixed.period_s,
-            missed: state.ticks_missed,
+            missed: state.ticks_missed + overran,
+            left_out: state.ticks_missed,
             overran,
             records_dropped: state.records_dropped,
             recording_dropped: inner
@@ -390,6 +401,7 @@ pub fn ask(domain: &str, arm: &str) -> io::Result<Option<StatusReport>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::statistics::Branch;
     use super::*;
     use crate::ipc::payload::Header;
 
@@ -407,7 +419,7 @@ mod tests {
         };
         state.obstacle_sources[0].source_id = 7;
         state.obstacle_sources[0].rejected[RejectCause::NotFinite.wire() as usize] = 2;
-        TickNotes::new(shared.clone()).note(&state);
+        TickNotes::new(shared.clone()).0.note(&state);
         let server = StatusServer::bind(&domain, "arm").unwrap();
         assert!(StatusServer::bind(&domain, "arm").is_err(), "one daemon, one socket");
         let asking = std::thread::spawn(move || ask(&domain, "arm").unwrap().unwrap());
@@ -447,7 +459,7 @@ mod tests {
     #[test]
     fn a_tick_is_noted_without_waiting_for_a_report_under_way_and_not_forgotten() {
         let shared = Arc::new(Shared::new(Fixed { period_s: 0.001, ..Fixed::default() }));
-        let mut notes = TickNotes::new(shared.clone());
+        let (mut notes, mut after) = TickNotes::new(shared.clone());
         let tick = |tick, cycle_ns| {
             let mut state = State { header: Header { tick, ..Header::default() }, ..State::default() };
             state.timing.cycle_ns = cycle_ns;
@@ -457,11 +469,16 @@ mod tests {
         {
             let _report_under_way = shared.ticks.lock().unwrap();
             notes.note(&tick(1, 2_000_000));
+            after.push(AfterSending { branch: Branch::Idle, report_ns: 1_000 }).unwrap();
             notes.note(&tick(2, 1_000));
         }
         assert_eq!((shared.report().ticks, shared.report().overran), (1, 0));
-        notes.note(&tick(3, 1_000));
+        let mut last = tick(3, 1_000);
+        last.ticks_missed = 5;
+        notes.note(&last);
         let report = shared.report();
-        assert_eq!((report.ticks, report.overran, report.time_us["idle"]["cycle"].count), (4, 1, 4));
+        assert_eq!((report.ticks, report.time_us["idle"]["cycle"].count), (4, 4));
+        assert_eq!(report.time_us["idle"]["report"].count, 1);
+        assert_eq!((report.missed, report.left_out, report.overran), (6, 5, 1));
     }
 }

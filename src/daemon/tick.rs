@@ -5,15 +5,16 @@
 use super::link::{DrivesLink, LoopTime};
 use super::obstacles::PairReader;
 use super::records;
+use super::statistics::Branch;
+use super::watch::Watch;
 use crate::config::{Config, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Phase,
-    Request, StopWatch, Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Request,
+    Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
 use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
-use crate::planner::Deadline;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
@@ -69,12 +70,12 @@ pub(crate) struct TickTime {
     pub(crate) woke_ns: u64,
     /// The wake-up's delay (ns).
     pub(crate) wakeup_ns: u64,
-    /// The next tick was due already.
-    pub(crate) late: bool,
-    /// CLOCK_MONOTONIC at which planning must end (ns); `None` in lockstep.
-    pub(crate) plan_until_ns: Option<u64>,
+    /// Deadlines missed since the tick before ([`TickInputs::missed`]).
+    pub(crate) missed: u32,
+    /// The planner's time; `None` in lockstep, where only work counts.
+    pub(crate) budget: Option<Budget>,
     /// Ticks left out so far.
-    pub(crate) missed: u64,
+    pub(crate) left_out: u64,
 }
 
 /// What the loop must know after a tick.
@@ -82,6 +83,9 @@ pub(crate) struct TickTime {
 pub(crate) struct Ticked {
     pub(crate) mode: Mode,
     pub(crate) drives: DrivesInput,
+    /// CLOCK_MONOTONIC when the torques had left (ns).
+    pub(crate) sent_ns: u64,
+    pub(crate) branch: Branch,
 }
 
 /// What a tick saw, but for what is lent: the obstacles are moved between two looks at it.
@@ -89,7 +93,7 @@ pub(crate) struct Ticked {
 struct Seen {
     tick: u64,
     now_ns: u64,
-    late: bool,
+    missed: u32,
     valid: CableMask,
     capture_ns: u64,
     demand: ObstacleDemand,
@@ -103,7 +107,7 @@ impl Seen {
         TickInputs {
             tick: self.tick,
             now_ns: self.now_ns,
-            late: self.late,
+            missed: self.missed,
             encoders: EncoderReadings { lengths_m, valid: self.valid, capture_ns: self.capture_ns },
             tensions_measured_n: measured_n,
             obstacles,
@@ -148,27 +152,6 @@ pub(crate) struct Parts<E> {
     pub(crate) time: LoopTime,
     pub(crate) rng: Xoshiro256PlusPlus,
     pub(crate) auto: AutoRequests,
-}
-
-/// Reads the clock at the ends of the tick's parts, and tells the planner when its time is over.
-struct Watch {
-    began_ns: u64,
-    until_ns: Option<u64>,
-    marks_ns: [u64; 3],
-}
-
-impl Deadline for Watch {
-    fn used(&mut self) -> f64 {
-        let Some(until_ns) = self.until_ns else { return 0.0 };
-        let budget_ns = until_ns.saturating_sub(self.began_ns);
-        if budget_ns == 0 { 1.0 } else { monotonic_ns().saturating_sub(self.began_ns) as f64 / budget_ns as f64 }
-    }
-}
-
-impl StopWatch for Watch {
-    fn mark(&mut self, phase: Phase) {
-        self.marks_ns[phase as usize] = monotonic_ns();
-    }
 }
 
 impl<E: Estimator> Controller<E> {
@@ -221,9 +204,9 @@ impl<E: Estimator> Controller<E> {
         let (request, command) = self.next_request(stop, &drives, demand, target.is_some_and(|t| t.fresh));
         let began_ns = monotonic_ns();
 
-        let mut watch = Watch { began_ns, until_ns: time.plan_until_ns, marks_ns: [began_ns; 3] };
+        let mut watch = Watch::new(time.budget, now_ns, began_ns);
         let seen =
-            Seen { tick: time.tick, now_ns, late: time.late, valid, capture_ns, demand, target, drives, request };
+            Seen { tick: time.tick, now_ns, missed: time.missed, valid, capture_ns, demand, target, drives, request };
         let inputs = seen.inputs(&self.lengths, &self.measured, self.obstacles.pair());
         let output = self.cycle.tick(&inputs, &mut self.rng, &mut watch);
 
@@ -236,7 +219,7 @@ impl<E: Estimator> Controller<E> {
         let _ = writer.write_cycle(&self.torques);
         let sent_ns = monotonic_ns();
 
-        let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns;
+        let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns();
         if self.cycle.latency_s() > 0.0 {
             // The record's state is that of the tick, and so are the obstacles that it is measured against.
             let (table, limits) = (self.inputs.obstacles(), &self.limits.obstacles);
@@ -257,7 +240,7 @@ impl<E: Estimator> Controller<E> {
         if let (Some(command), Some(answer)) = (command, &output.answer) {
             self.outputs.reply(records::reply(&command, answer, output.mode, fault));
         }
-        Ticked { mode: output.mode, drives }
+        Ticked { mode: output.mode, drives, sent_ns, branch: Branch::of(&self.state) }
     }
 
     /// Moves the obstacles to where they will be when this tick's tensions begin to act, for the planner starts from the
@@ -372,7 +355,7 @@ impl<E: Estimator> Controller<E> {
         state.time_s = time.tick as f64 * self.period_ns as f64 * 1e-9;
         state.target_report = self.inputs.target().report(now_ns, &self.limits.target);
         state.encoder_report = self.inputs.encoders().report(now_ns, &self.limits.encoders);
-        state.ticks_missed = time.missed;
+        state.ticks_missed = time.left_out;
         self.outputs.record(state);
         while let Some(event) = self.cycle.events_mut().pop() {
             self.outputs.event(records::event(&event));

@@ -60,9 +60,9 @@ impl Bench {
             now_ns: NOW,
             woke_ns: monotonic_ns(),
             wakeup_ns: 0,
-            late: false,
-            plan_until_ns: None,
             missed: 0,
+            budget: None,
+            left_out: 0,
         };
         self.controller.tick(&time, false, &mut self.writer);
         self.ends.records.pop().unwrap()

@@ -91,7 +91,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
             let inputs = TickInputs {
                 tick,
                 now_ns,
-                late: false,
+                missed: 0,
                 encoders,
                 tensions_measured_n: &lengths,
                 obstacles,

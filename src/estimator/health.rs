@@ -49,6 +49,14 @@ impl Health {
         self.next = 0;
     }
 
+    /// Ticks left out: the window is one of time, and of theirs nothing is known.
+    pub(super) fn skip(&mut self, ticks: u32) {
+        for _ in 0..self.window.len().min(ticks as usize) {
+            self.window[self.next] = f64::INFINITY;
+            self.next = (self.next + 1) % self.window.len();
+        }
+    }
+
     /// One tick's largest |z| (rad) and largest bend rate (rad/s). NaN settles nothing and is beyond every bound.
     pub(super) fn check(&mut self, innovation: f64, rate: f64) -> Checked {
         let quiet = innovation < self.settle_innovation && rate < self.settle_rate;

@@ -63,8 +63,8 @@ pub struct Observer {
     full: CableSpace,
     /// K per bend angle (N m/rad).
     stiffness: Vec<f64>,
-    /// D_e per bend angle (N m/rad).
-    damper: Vec<f64>,
+    /// D per bend angle (N m s/rad).
+    damping: Vec<f64>,
     filter_time: f64,
     disturbance_time: f64,
     pub(super) state: State,
@@ -75,6 +75,8 @@ pub struct Observer {
     disturbance: Vec<f64>,
     /// Tensions sent and not yet in the estimate: the oldest acted in the tick that ends now.
     pub(super) sent: Vec<Vec<f64>>,
+    /// Mean of those that acted over the present step.
+    acting: Vec<f64>,
     health: Health,
     pub(super) length: Vec<f64>,
     pub(super) z: Vec<f64>,
@@ -107,7 +109,7 @@ impl Observer {
             .iter()
             .flat_map(|s| [config.stiffness_ratio * s.bending_stiffness_nm2 / s.length_m; 2])
             .collect();
-        let damper = stiffness.iter().map(|k| k * config.damping_s / (config.filter_time_s + period_s)).collect();
+        let damping = stiffness.iter().map(|k| k * config.damping_s).collect();
         let straight = State::at_rest(arm.straight());
         Self {
             scheme: Scheme::new(config.rho_inf),
@@ -116,7 +118,7 @@ impl Observer {
             full: space.clone(),
             space,
             stiffness,
-            damper,
+            damping,
             filter_time: config.filter_time_s,
             disturbance_time: config.disturbance_time_s,
             next: straight.clone(),
@@ -126,6 +128,7 @@ impl Observer {
             beta: vec![0.0; angles],
             disturbance: vec![0.0; nc],
             sent: vec![vec![0.0; nc]; config.latency_ticks + 1],
+            acting: vec![0.0; nc],
             health: Health::new(config, period_s),
             length: vec![0.0; nc],
             z: vec![0.0; angles],
@@ -195,20 +198,29 @@ impl Observer {
     /// # Panics
     /// If the slices are not one number per cable.
     pub fn update(&mut self, u_sent: &[f64], lengths: &[f64]) -> Update {
+        self.update_over(u_sent, lengths, 1)
+    }
+
+    /// The same after ticks left out: `lengths` were measured `periods` periods (at least one) after those before, and
+    /// `u_sent` acted since. One implicit step of that length, up to a planner's lookahead: it takes as long as any, and what
+    /// acted meanwhile enters by its mean.
+    ///
+    /// # Panics
+    /// As [`Observer::update`].
+    pub fn update_over(&mut self, u_sent: &[f64], lengths: &[f64], periods: u32) -> Update {
         assert_eq!(lengths.len(), self.arm.cable_count(), "one length per cable");
-        self.sent.rotate_left(1);
-        if let Some(newest) = self.sent.last_mut() {
-            newest.copy_from_slice(u_sent);
-        }
+        let periods = periods.max(1);
+        self.take_sent(u_sent, periods);
         self.space.select(|c| lengths[c].is_finite());
         let missing = (0..lengths.len()).filter(|c| !self.space.is_valid(*c)).count();
-        let stepped = self.step(lengths);
+        let stepped = self.step(lengths, f64::from(periods) * self.period);
         let mut innovation = self.z.iter().fold(0.0, |a: f64, z| if z.is_nan() { f64::NAN } else { a.max(z.abs()) });
         if stepped.is_none() {
             innovation = f64::NAN;
         }
         self.settle_prediction();
         let rate = self.bend_rate();
+        self.health.skip(periods - 1);
         let checked = self.health.check(innovation, rate);
         Update {
             innovation_max: innovation,
@@ -231,16 +243,34 @@ impl Observer {
         self.health.reset();
     }
 
-    /// The implicit step; `None` and the old estimate where it fails.
-    fn step(&mut self, lengths: &[f64]) -> Option<usize> {
+    /// Moves the queue of tensions on; those that acted over the step end up in `acting`.
+    fn take_sent(&mut self, u_sent: &[f64], periods: u32) {
+        self.acting.fill(0.0);
+        // From then on the queue holds nothing else.
+        let moved = periods.min(self.sent.len() as u32);
+        for _ in 0..moved {
+            self.sent.rotate_left(1);
+            if let Some(newest) = self.sent.last_mut() {
+                newest.copy_from_slice(u_sent);
+            }
+            self.acting.iter_mut().zip(&self.sent[0]).for_each(|(acting, u)| *acting += u);
+        }
+        let rest = f64::from(periods - moved);
+        for (acting, u) in self.acting.iter_mut().zip(u_sent) {
+            *acting = (*acting + rest * u) / f64::from(periods);
+        }
+    }
+
+    /// The implicit step of `h` seconds; `None` and the old estimate where it fails.
+    fn step(&mut self, lengths: &[f64], h: f64) -> Option<usize> {
         let n = self.space.angle_count();
-        let rates = self.scheme.rates(self.period);
-        self.scheme.predict(self.period, &self.state, &mut self.next);
+        let rates = self.scheme.rates(h);
+        self.scheme.predict(h, &self.state, &mut self.next);
         let mut iterations = 0;
         let mut last = f64::INFINITY;
         loop {
-            self.correct(lengths);
-            self.effective.copy_from_slice(&self.sent[0]);
+            self.correct(lengths, h);
+            self.effective.copy_from_slice(&self.acting);
             self.full.add_tensions(&self.beta, &mut self.effective);
             self.space.add_tensions(&self.w, &mut self.effective);
             self.stepper.linearize(&self.arm, &Motion::from(&self.next), &self.effective, rates).ok()?;
@@ -262,7 +292,7 @@ impl Observer {
                 }
             }
             for i in 0..n {
-                self.small_a[i * n + i] += 1.0 / (self.stiffness[i] + self.damper[i]);
+                self.small_a[i * n + i] += 1.0 / (self.stiffness[i] + self.damper(i, h));
             }
             if !dense::solve_in_place(n, &mut self.small_a, &mut self.small_b) {
                 return None;
@@ -283,27 +313,33 @@ impl Observer {
                 break;
             }
         }
-        self.correct(lengths);
+        self.correct(lengths, h);
         self.scheme.finish(&self.state, &mut self.next);
         if !self.next.is_finite() {
             return None;
         }
         std::mem::swap(&mut self.state, &mut self.next);
         for i in 0..n {
-            self.y[i] = (self.filter_time * self.y[i] + self.period * self.z[i]) / (self.filter_time + self.period);
-            self.beta[i] += self.period / self.disturbance_time * self.w[i];
+            self.y[i] = (self.filter_time * self.y[i] + h * self.z[i]) / (self.filter_time + h);
+            self.beta[i] += h / self.disturbance_time * self.w[i];
         }
         Some(iterations)
     }
 
-    /// `z` and `w` at the iterate.
-    fn correct(&mut self, lengths: &[f64]) {
+    /// D_e of a bend angle (N m/rad) in a step of `h` seconds.
+    fn damper(&self, angle: usize, h: f64) -> f64 {
+        self.damping[angle] / (self.filter_time + h)
+    }
+
+    /// `z` and `w` at the iterate of a step of `h` seconds.
+    fn correct(&mut self, lengths: &[f64], h: f64) {
         self.arm.cable_lengths_into(&self.next.q, &mut self.length);
         self.space.angles_into(&self.length, lengths, &mut self.z);
         for i in 0..self.w.len() {
             // An angle that no cable tells feels nothing: neither spring nor what the damper remembers.
             self.w[i] = if self.space.is_observable(i) {
-                (self.stiffness[i] + self.damper[i]) * self.z[i] - self.damper[i] * self.y[i]
+                let damper = self.damper(i, h);
+                (self.stiffness[i] + damper) * self.z[i] - damper * self.y[i]
             } else {
                 0.0
             };

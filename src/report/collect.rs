@@ -54,7 +54,8 @@ pub struct Collector {
     times: [Histogram<u64>; 4],
     /// Particles evaluated, and planning time of the steps that searched (us).
     swarm: (u64, f64),
-    missed: Option<u64>,
+    /// Ticks left out, and ticks that overran.
+    missed: Option<[u64; 2]>,
     faults: Vec<String>,
 }
 
@@ -181,9 +182,10 @@ impl Collector {
         }
     }
 
-    /// Number of deadlines missed so far; marks the run as a closed loop.
-    pub fn set_missed(&mut self, missed: u64) {
-        self.missed = Some(missed);
+    /// Deadlines missed so far, by ticks left out and by ticks whose torques left after their period; marks the run as a
+    /// closed loop.
+    pub fn set_missed(&mut self, left_out: u64, overran: u64) {
+        self.missed = Some([left_out, overran]);
     }
 
     /// Adds a fault in words.
@@ -255,7 +257,12 @@ impl Collector {
                 evaluations: self.swarm.0,
                 evaluations_per_s: (self.swarm.1 > 0.0).then(|| 1e6 * self.swarm.0 as f64 / self.swarm.1),
             }),
-            loop_: self.missed.map(|missed| Loop { missed, wakeup_us: percentiles(&self.times[3]) }),
+            loop_: self.missed.map(|[left_out, overran]| Loop {
+                missed: left_out + overran,
+                left_out,
+                overran,
+                wakeup_us: percentiles(&self.times[3]),
+            }),
             faults: self.faults.clone(),
         }
     }

@@ -157,8 +157,12 @@ pub struct Swarm {
 /// Statistics of the periodic loop.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Loop {
-    /// Ticks that missed their deadline.
+    /// Deadlines missed: the two below together.
     pub missed: u64,
+    /// Ticks left out because the loop woke too late for them.
+    pub left_out: u64,
+    /// Ticks whose torques left after their period.
+    pub overran: u64,
     /// Lateness of wake-ups; null in lockstep.
     pub wakeup_us: Option<Percentiles>,
 }

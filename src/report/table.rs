@@ -62,7 +62,7 @@ pub fn summary_table(s: &Summary) -> String {
         row("whole cycle (p50/p99/max)", time(Some(cycle)));
     }
     if let Some(l) = &s.loop_ {
-        row("deadlines missed", l.missed.to_string());
+        row("deadlines missed", format!("{} ({} left out, {} overran)", l.missed, l.left_out, l.overran));
         row("wake-up late (p50/p99/max)", l.wakeup_us.map_or("lockstep".into(), |p| time(Some(p))));
     }
     row("faults", if s.faults.is_empty() { "none".into() } else { s.faults.join("; ") });

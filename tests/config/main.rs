@@ -127,6 +127,19 @@ fn the_shipped_files_are_accepted_together() {
 }
 
 #[test]
+fn limits_of_missed_deadlines_are_times_where_they_are_not_given() {
+    let limits = |config: Config| (config.timing.overruns_hold, config.timing.overruns_fault);
+    let mut fast = files(&["arm.toml", "drives-4-fd-buses.toml"]);
+    fast.push(("controller-1khz.toml".to_owned(), include_str!("../../config/controller-1khz.toml").to_owned()));
+    assert_eq!(limits(Config::parse(fast).unwrap()), (20, 100), "20 ms and 0.1 s");
+    let with = |keys: &str| changed("controller.toml", "period_s = 0.01", keys);
+    assert_eq!(limits(with("period_s = 0.01").unwrap()), (2, 10));
+    assert_eq!(limits(with("period_s = 0.02").unwrap()), (2, 10), "at least");
+    assert_eq!(limits(with("period_s = 0.01\noverruns_hold = 0\noverruns_fault = 1").unwrap()), (0, 1));
+    expect(with("period_s = 0.01\noverruns_hold = 10"), &["not greater than `overruns_hold`", "11 to 10000"]);
+}
+
+#[test]
 fn a_wake_up_latency_is_asked_for_only_where_it_is_given_and_within_its_range() {
     assert_eq!(
         Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap().timing.wake_latency_s,

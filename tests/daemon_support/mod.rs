@@ -53,7 +53,7 @@ impl Place {
                 .replace("encoder_silent_s = 0.05", "encoder_silent_s = 2.0")
                 .replace("heartbeat_timeout_s = 0.15", "heartbeat_timeout_s = 3.0")
                 .replace("sync_timeout_s = 0.1", "sync_timeout_s = 3.0")
-                .replace("[loop]\n", "[loop]\npriority = 0\noverruns_fault = 1000\n");
+                .replace("[loop]\n", "[loop]\npriority = 0\noverruns_hold = 1000\noverruns_fault = 10000\n");
             if *file == "plant.toml" {
                 text = text.replace("mesh_refinement = 2", "mesh_refinement = 1");
             }

@@ -105,11 +105,13 @@ impl Estimator for Mirror {
         Ok(())
     }
 
-    fn update(&mut self, sent_n: &[f64], _: &[f64]) -> Result<Estimate, EstimatorFailure> {
-        self.stepper
-            .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
-            .map_err(|_| EstimatorFailure::Step)?;
-        std::mem::swap(&mut self.state, &mut self.next);
+    fn update(&mut self, sent_n: &[f64], _: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure> {
+        for _ in 0..periods {
+            self.stepper
+                .step(&self.arm, &self.scheme, PERIOD_S, &self.state, sent_n, 4, &mut self.next)
+                .map_err(|_| EstimatorFailure::Step)?;
+            std::mem::swap(&mut self.state, &mut self.next);
+        }
         self.updates += 1;
         let z = self.innovation_rad;
         let settled = self.updates >= self.settle_after;
@@ -178,7 +180,8 @@ pub struct Rig<P: Plan = Planner> {
     pub drives: DrivesInput,
     pub target: Option<TargetInput>,
     pub demand: ObstacleDemand,
-    pub late: bool,
+    /// Deadlines missed before each tick.
+    pub missed: u32,
     pub valid: CableMask,
     /// Added to the measured lengths (m).
     pub offset: Vec<f64>,
@@ -215,7 +218,7 @@ impl<P: Plan> Rig<P> {
             drives: DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None },
             target: None,
             demand: ObstacleDemand::Proceed,
-            late: false,
+            missed: 0,
             valid: CableMask::first(cables),
             offset: vec![0.0; cables],
             frozen: vec![None; cables],
@@ -237,7 +240,7 @@ impl<P: Plan> Rig<P> {
         let inputs = TickInputs {
             tick: self.tick,
             now_ns,
-            late: self.late,
+            missed: self.missed,
             encoders: EncoderReadings { lengths_m: &self.lengths, valid: self.valid, capture_ns: now_ns },
             tensions_measured_n: &[],
             obstacles: &self.obstacles,

@@ -18,6 +18,7 @@ use serde_json::Value;
 use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{ArmConfig, BodyModel};
 use sinew::control::Fault;
+use sinew::daemon::overran;
 use sinew::ipc::payload::{PlannerBranch, SupervisorState};
 use sinew::model::Outputs;
 use sinew::planner::{Branch, Goal};
@@ -60,7 +61,7 @@ struct Record {
     plan_ns: u64,
     cycle_ns: u64,
     wakeup_ns: u64,
-    missed: u64,
+    left_out: u64,
     fault: (u64, u64),
 }
 
@@ -94,7 +95,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
             plan_ns: integer(&v["timing"]["plan_ns"]),
             cycle_ns: integer(&v["timing"]["cycle_ns"]),
             wakeup_ns: integer(&v["timing"]["wakeup_ns"]),
-            missed: integer(&v["ticks_missed"]),
+            left_out: integer(&v["ticks_missed"]),
             fault: (integer(&v["fault_code"]), integer(&v["fault_detail"])),
         });
     })?;
@@ -108,7 +109,9 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
             curvatures: numbers(&v["curvature_1pm"]),
         });
     })?;
-    let Some(first) = records.iter().position(|r| r.tracks) else { return Ok(never_tracked(setup, &records)) };
+    let Some(first) = records.iter().position(|r| r.tracks) else {
+        return Ok(never_tracked(setup, lockstep, &records));
+    };
     // The scenario begins when the clients say so: after the approach to its start.
     let approach_s = approach_s(&setup.scenario.task);
     let origin_ns = records[first].capture_ns + (1e9 * approach_s).round() as u64;
@@ -145,8 +148,8 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     }
     let within = |r: &&Record| !r.stops && (r.capture_ns as f64 - origin_ns as f64) * 1e-9 <= end_s;
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
-    let missed = run.last().map_or(0, |last| last.missed.saturating_sub(records[first].missed));
-    collector.set_missed(missed);
+    let (left_out, overran) = missed(&run, if lockstep { 0.0 } else { period_s });
+    collector.set_missed(left_out, overran);
     faults(&records, origin_ns, &mut collector);
     let planner = &setup.config.planner;
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, planner.lookahead_s, true);
@@ -159,13 +162,25 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
 }
 
 /// A run that ended before it began; its faults say why.
-fn never_tracked(setup: &Setup, records: &[Record]) -> Judged {
+fn never_tracked(setup: &Setup, lockstep: bool, records: &[Record]) -> Judged {
     let mut collector = collector(setup);
-    collector.set_missed(records.last().map_or(0, |r| r.missed));
-    faults(records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
     let (period_s, lookahead_s) = (setup.config.timing.period_s, setup.config.planner.lookahead_s);
+    let (left_out, overran) = missed(&records.iter().collect::<Vec<_>>(), if lockstep { 0.0 } else { period_s });
+    collector.set_missed(left_out, overran);
+    faults(records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, lookahead_s, true);
     Judged { summary, contact: false, reached_s: 0.0, held: Held::default() }
+}
+
+/// Deadlines that a run missed: by ticks left out since its first one, and by ticks whose torques left after their period
+/// (s; 0 in lockstep).
+fn missed(run: &[&Record], period_s: f64) -> (u64, u64) {
+    let left_out = match run {
+        [first, .., last] => last.left_out.saturating_sub(first.left_out),
+        _ => 0,
+    };
+    let period_ns = (1e9 * period_s).round() as u64;
+    (left_out, run.iter().filter(|r| overran(r.wakeup_ns, r.cycle_ns, period_ns)).count() as u64)
 }
 
 fn held(run: &[&Record], origin_ns: u64, period_s: f64) -> Held {
@@ -395,22 +410,44 @@ fn node(value: &Value) -> [f64; 7] {
 mod tests {
     use super::*;
 
+    fn record(tick: u64, tracks: bool) -> Record {
+        Record {
+            tick,
+            capture_ns: 1_000_000_000 + 10_000_000 * tick,
+            tracks,
+            stops: false,
+            tensions: Vec::new(),
+            branch: 0,
+            iterations: 0,
+            plan_ns: 0,
+            cycle_ns: 0,
+            wakeup_ns: 0,
+            left_out: 0,
+            fault: (0, 0),
+        }
+    }
+
+    #[test]
+    fn a_deadline_is_missed_by_a_tick_left_out_and_by_torques_that_left_too_late() {
+        const MS: u64 = 1_000_000;
+        let mut run: Vec<Record> = (0..6).map(|k| record(k, true)).collect();
+        run.iter_mut().for_each(|r| (r.cycle_ns, r.left_out) = (3 * MS, 7));
+        (run[2].wakeup_ns, run[2].cycle_ns) = (9 * MS, 2 * MS);
+        // Two ticks left out, and torques in time behind them.
+        run[4].wakeup_ns = 25 * MS;
+        (run[4].left_out, run[5].left_out) = (9, 9);
+        let run: Vec<&Record> = run.iter().collect();
+        assert_eq!(missed(&run, 0.01), (2, 1));
+        assert_eq!(missed(&run, 0.0).1, 0, "in lockstep nothing is due");
+        assert_eq!(missed(&[], 0.01), (0, 0));
+    }
+
     #[test]
     fn a_hold_is_told_by_its_time_and_whether_it_lasted() {
         let held_of = |ticks: &[(bool, u64)]| {
             let record = |(k, (tracks, fault)): (usize, &(bool, u64))| Record {
-                tick: k as u64,
-                capture_ns: 1_000_000_000 + 10_000_000 * k as u64,
-                tracks: *tracks,
-                stops: false,
-                tensions: Vec::new(),
-                branch: 0,
-                iterations: 0,
-                plan_ns: 0,
-                cycle_ns: 0,
-                wakeup_ns: 0,
-                missed: 0,
                 fault: (*fault, 0),
+                ..record(k as u64, *tracks)
             };
             let records: Vec<Record> = ticks.iter().enumerate().map(record).collect();
             held(&records.iter().collect::<Vec<_>>(), 1_000_000_000, 0.01)

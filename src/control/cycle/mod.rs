@@ -3,6 +3,7 @@
 //! [`Cycle::tick`] is everything that must happen before the tensions are sent; [`Cycle::report`] completes the record
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
+mod elapsed;
 mod plan;
 mod report;
 
@@ -24,6 +25,7 @@ use crate::collision::{Body, BodyGeometry};
 use crate::integrator::Scheme;
 use crate::model::{Arm, State};
 use crate::planner::{Deadline, Inputs, Planner, Report};
+use elapsed::Elapsed;
 use nalgebra::{Vector3, Vector4};
 use plan::Wanted;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -63,8 +65,8 @@ pub struct TickInputs<'a> {
     pub tick: u64,
     /// Time of the tick (ns, the loop's clock): the scheduled one, so that jitter does not enter the control law.
     pub now_ns: u64,
-    /// Whether this tick began when the next one was due ([`super::Budget::is_late`]).
-    pub late: bool,
+    /// Deadlines missed since the tick before: ticks left out, and that tick itself if its torques left after its period.
+    pub missed: u32,
     /// Newest encoder readings.
     pub encoders: EncoderReadings<'a>,
     /// Measured tensions (N), for the record alone; empty for none, NaN where not valid.
@@ -115,6 +117,7 @@ pub struct Cycle<E, P = Planner> {
     ramp: Ramp,
     body: Body,
     period_ns: u64,
+    elapsed: Elapsed,
     latency_s: f64,
     lead_tip_s: f64,
     lead_shape_s: f64,
@@ -126,6 +129,7 @@ pub struct Cycle<E, P = Planner> {
     last_was_tip: bool,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
+    model_rates: Vec<f64>,
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -189,6 +193,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
             period_ns: seconds_to_ns(period_s),
+            elapsed: Elapsed::new(seconds_to_ns(period_s)),
             latency_s,
             lead_tip_s: lead(weights.tip.rate, weights.tip.pose),
             // One weight for curvatures and rates (46).
@@ -199,6 +204,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             last_was_tip: false,
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
+            model_rates: vec![0.0; cables],
             safe: vec![settings.safe_tension_n(); cables],
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -263,8 +269,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     ) -> TickOutput {
         let mut faults = FaultList::default();
         let mut limits = Limits::default();
-        self.watch_encoders(inputs, &mut faults, &mut limits);
-        let progress = self.follow(inputs, &mut faults);
+        let periods = self.elapsed.advance(inputs.now_ns, inputs.encoders.capture_ns);
+        self.watch_encoders(inputs, periods, &mut faults, &mut limits);
+        let progress = self.follow(inputs, periods, &mut faults);
         if inputs.target.is_some_and(|t| !t.is_sound()) {
             faults.push(Fault::TargetNotFinite);
         }
@@ -296,9 +303,16 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     }
 
     /// Judges the readings; in modes that use them, their faults count.
-    fn watch_encoders(&mut self, inputs: &TickInputs<'_>, faults: &mut FaultList, limits: &mut Limits) {
+    fn watch_encoders(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList, limits: &mut Limits) {
         let model = if self.observing {
-            self.arm.cable_lengths_into(&self.estimator.state().q, &mut self.model_lengths);
+            let state = self.estimator.state();
+            self.arm.cable_lengths_into(&state.q, &mut self.model_lengths);
+            if periods > 1 {
+                // The model is a period behind the readings as a rule, and now by more: it goes on at its rates.
+                let ahead_s = 1e-9 * (u64::from(periods - 1) * self.period_ns) as f64;
+                self.arm.cable_rates_into(&state.q, &state.qd, &mut self.model_rates);
+                self.model_lengths.iter_mut().zip(&self.model_rates).for_each(|(l, rate)| *l += ahead_s * rate);
+            }
             Some(&self.model_lengths[..])
         } else {
             None
@@ -315,7 +329,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     }
 
     /// Starts or advances the estimate; how far the start has come.
-    fn follow(&mut self, inputs: &TickInputs<'_>, faults: &mut FaultList) -> Progress {
+    fn follow(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Progress {
         // Torque acts only where the drives give it.
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         self.applied.copy_from_slice(if torque { &self.sent } else { &self.zeros });
@@ -323,7 +337,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             // A bridged length counts as read: it keeps its cable's innovation as it was. Left out, the other cables of the
             // segment would have to tell its bend, and their lengths' own errors give another one: each lost reading
             // would kick the estimate (at a loss of 1 % it never settled). The gap ends with `encoder_silent_s`.
-            match self.estimator.update(&self.applied, self.encoders.lengths_m()) {
+            match self.estimator.update(&self.applied, self.encoders.lengths_m(), periods) {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
@@ -340,6 +354,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 }
                 _ => faults.push(Fault::EstimateLost),
             }
+        } else {
+            self.elapsed.settle();
         }
         if self.supervisor.mode() != Mode::Starting || !torque {
             return Progress::Drives;
@@ -386,7 +402,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             obstacles: inputs.demand,
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
             at_home: self.curvatures[..count].iter().zip(home).all(|(k, home)| (k - home).abs() <= tolerance),
-            late: inputs.late,
+            missed: inputs.missed,
         }
     }
 

@@ -19,7 +19,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.fault = self.supervisor.latch().first;
         r.fault_count = self.supervisor.latch().count;
         r.drives = inputs.drives.phase;
-        r.late_in_row = self.supervisor.late_in_row();
+        r.deadlines_missed = self.supervisor.deadlines_missed();
         r.events_dropped = self.supervisor.events_mut().dropped;
         r.observing = self.observing;
         r.settled = self.observing && self.estimate.settled;

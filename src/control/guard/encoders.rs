@@ -25,16 +25,25 @@ struct Track {
     heard_ns: u64,
     /// Since when the reading is exactly the same (ns).
     same_since_ns: u64,
-    /// Time since then in which the loop itself did not run and no encoder could be asked (ns).
+    /// Time after `heard_ns` in which the loop itself did not run and no encoder could be asked (ns).
     paused_ns: u64,
+    /// The same after `same_since_ns` (ns).
+    same_paused_ns: u64,
     /// Least and largest length of the model's cable since the reading changed (m).
     model_m: (f64, f64),
     /// Length of the model's cable when the last reading came (m); `None` without a model.
     model_at_reading_m: Option<f64>,
 }
 
-const BLANK: Track =
-    Track { last_m: None, heard_ns: 0, same_since_ns: 0, paused_ns: 0, model_m: (0.0, 0.0), model_at_reading_m: None };
+const BLANK: Track = Track {
+    last_m: None,
+    heard_ns: 0,
+    same_since_ns: 0,
+    paused_ns: 0,
+    same_paused_ns: 0,
+    model_m: (0.0, 0.0),
+    model_at_reading_m: None,
+};
 
 /// How far the model's cable moved since the track's last reading (m); 0 without a model.
 fn moved(model_m: Option<f64>, track: &Track) -> f64 {
@@ -95,14 +104,17 @@ impl EncoderGuard {
     /// Begins anew to compare readings with the model, whose past must not count.
     pub fn restart(&mut self, now_ns: u64) {
         for track in &mut self.tracks {
-            track.same_since_ns = now_ns;
+            (track.same_since_ns, track.same_paused_ns) = (now_ns, 0);
             track.model_m = (f64::INFINITY, f64::NEG_INFINITY);
             track.model_at_reading_m = None;
         }
     }
 
-    /// Takes over readings. `model_m` are the cable lengths of the model (m) while one follows the arm. With `watch`
-    /// faults are raised, at most one of each kind per call; without it readings are only taken over. Does not allocate.
+    /// Takes over readings. `model_m` are the cable lengths of the model (m) while one follows the arm, a period before the
+    /// readings: where these moved on by more than a period since the last call, so must it. With `watch` faults are
+    /// raised, at most one of each kind per call; without it readings are only taken over. Does not allocate.
+    ///
+    /// Times are those in which the loop ran; an encoder that was not asked neither falls silent nor sticks.
     ///
     /// - silent: the newest reading of a cable is older than `encoder_silent_s`;
     /// - jump: two readings in a row differ by more than `encoder_jump_m`, also from what the model's cable moved
@@ -126,6 +138,7 @@ impl EncoderGuard {
         self.bridged = CableMask::default();
         for (cable, track) in self.tracks.iter_mut().enumerate() {
             track.paused_ns += paused_ns;
+            track.same_paused_ns += paused_ns;
             let model = model_m.map(|lengths| lengths[cable]);
             let reading = readings.lengths_m.get(cable).copied().filter(|_| readings.valid.contains(cable));
             let new = reading.filter(|_| track.last_m.is_none() || readings.capture_ns > track.heard_ns);
@@ -143,7 +156,7 @@ impl EncoderGuard {
                 }
                 if length.is_finite() {
                     if track.last_m != Some(length) {
-                        track.same_since_ns = now_ns;
+                        (track.same_since_ns, track.same_paused_ns) = (now_ns, 0);
                         track.model_m = (f64::INFINITY, f64::NEG_INFINITY);
                     }
                     // What the jump came from carries the estimate over this tick; what it went to is the new reference.
@@ -152,14 +165,16 @@ impl EncoderGuard {
                     }
                     track.last_m = Some(length);
                     track.heard_ns = readings.capture_ns;
-                    track.paused_ns = 0;
+                    // What was read at the loop's last SYNC before a pause is new, and as old as the pause.
+                    track.paused_ns = paused_ns.min(now_ns.saturating_sub(readings.capture_ns));
                     track.model_at_reading_m = model;
                 }
             }
             if let Some(model) = model {
                 track.model_m = (track.model_m.0.min(model), track.model_m.1.max(model));
                 let motion_m = track.model_m.1 - track.model_m.0;
-                if now_ns.saturating_sub(track.same_since_ns) >= self.stuck_ns && motion_m > self.stuck_motion_m {
+                let same_ns = now_ns.saturating_sub(track.same_since_ns).saturating_sub(track.same_paused_ns);
+                if same_ns >= self.stuck_ns && motion_m > self.stuck_motion_m {
                     stuck = stuck.or(Some(Fault::EncoderStuck { cable: cable as u16, motion_m }));
                 }
             }
@@ -256,6 +271,69 @@ mod tests {
         }
         let faults = feed(&mut g, 260, [f64::NAN, f64::NAN], 0, None);
         assert!(matches!(faults[..], [Fault::EncoderSilent { cable: 0, .. }]), "{faults:?}");
+    }
+
+    /// A reading of `captured` ms, taken over at `ms`.
+    fn feed_old(
+        g: &mut EncoderGuard,
+        ms: u64,
+        captured: u64,
+        lengths: [f64; 2],
+        model: Option<[f64; 2]>,
+    ) -> Vec<Fault> {
+        let readings = EncoderReadings { lengths_m: &lengths, valid: CableMask(3), capture_ns: captured * MS };
+        let mut faults = FaultList::default();
+        g.check(&readings, ms * MS, model.as_ref().map(|m| &m[..]), true, &mut faults);
+        faults.iter().collect()
+    }
+
+    #[test]
+    fn a_reading_of_the_loops_last_sync_before_its_sleep_is_no_silence_behind_it() {
+        let mut g = guard();
+        assert_eq!(feed_old(&mut g, 10, 1, [0.65, 0.6], None), []);
+        // Asleep from the tick of 10 ms on, whose SYNC was answered at 11 ms; each encoder has its 50 ms behind it, too.
+        assert_eq!(feed_old(&mut g, 210, 11, [0.65, 0.6], None), []);
+        for ms in [220, 230, 240, 250] {
+            assert_eq!(feed_old(&mut g, ms, 11, [0.65, 0.6], None), [], "{ms} ms");
+        }
+        let faults = feed_old(&mut g, 260, 11, [0.65, 0.6], None);
+        assert!(matches!(faults[..], [Fault::EncoderSilent { cable: 0, .. }]), "{faults:?}");
+    }
+
+    #[test]
+    fn a_reading_that_was_old_before_the_loop_slept_is_no_younger_for_it() {
+        let mut g = guard();
+        assert_eq!(feed_old(&mut g, 10, 9, [0.65, 0.6], None), []);
+        assert_eq!(feed_old(&mut g, 20, 9, [0.65, 0.6], None), []);
+        // What comes now was read long ago, while the loop ran.
+        g.check(
+            &EncoderReadings { lengths_m: &[0.65, 0.6], valid: CableMask(0), capture_ns: 0 },
+            80 * MS,
+            None,
+            true,
+            &mut FaultList::default(),
+        );
+        let faults = feed_old(&mut g, 90, 12, [0.65, 0.6], None);
+        assert!(matches!(faults[..], [Fault::EncoderSilent { cable: 0, .. }]), "{faults:?}");
+    }
+
+    #[test]
+    fn a_loop_that_slept_does_not_take_its_own_sleep_for_an_encoder_that_sticks() {
+        let run = |asleep_ms: u64| {
+            let mut g = guard();
+            g.restart(0);
+            assert_eq!(feed(&mut g, 10, [0.65, 0.6], 3, Some([0.65, 0.6])), []);
+            // The same reading once more, for it is that of the last SYNC, and a model that went on meanwhile.
+            feed(&mut g, 20 + asleep_ms, [0.65, 0.6], 3, Some([0.653, 0.6]))
+        };
+        assert_eq!(run(0), []);
+        assert_eq!(run(700), []);
+        // Awake for as long, it sticks.
+        let mut g = guard();
+        g.restart(0);
+        let faults: Vec<Fault> =
+            (1..=72).flat_map(|k| feed(&mut g, 10 * k, [0.65, 0.6], 3, Some([0.653 - 1e-4 * k as f64, 0.6]))).collect();
+        assert!(matches!(faults[..], [Fault::EncoderStuck { cable: 0, .. }, ..]), "{faults:?}");
     }
 
     #[test]
