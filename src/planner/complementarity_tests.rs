@@ -11,11 +11,21 @@ struct Case {
     upper: Vec<f64>,
     c: Vec<f64>,
     d: Vec<f64>,
+    /// Of every row, where the longest is not the measure of all.
+    price: Vec<f64>,
 }
 
 impl Case {
+    /// The price of every row is that of [`exact_price`], by the longest of them.
+    fn priced(mut self) -> Self {
+        let price = exact_price(&self.a, &self.b, self.c.chunks_exact(self.b.len()));
+        self.price = vec![price; self.d.len()];
+        self
+    }
+
     fn problem(&self) -> Problem<'_> {
-        Problem { a: &self.a, b: &self.b, lower: &self.lower, upper: &self.upper, c: &self.c, d: &self.d }
+        let Self { a, b, lower, upper, c, d, price } = self;
+        Problem { a, b, lower, upper, c, d, price }
     }
 }
 
@@ -38,7 +48,7 @@ fn random(n: usize, rows: usize, seed: u64) -> Case {
     let d = (0..rows)
         .map(|r| rng.random_range(0.0..0.01) - (0..n).map(|j| c[r * n + j] * inside[j]).sum::<f64>())
         .collect();
-    Case { a, b, lower: vec![0.0; n], upper: vec![220.0; n], c, d }
+    Case { a, b, lower: vec![0.0; n], upper: vec![220.0; n], c, d, price: Vec::new() }.priced()
 }
 
 fn kkt(case: &Case, u: &[f64], mu: &[f64]) -> f64 {
@@ -83,6 +93,7 @@ fn complementarity_holds_with_rows_and_with_duplicated_rows() {
             case.c.extend(row);
             case.d.push(case.d[copy]);
         }
+        let case = case.priced();
         let mut solver = Solver::new(24, 16);
         let mut u = vec![110.0; 24];
         let report = solver.solve(&case.problem(), &mut u, &mut || false);
@@ -97,6 +108,7 @@ fn conflicting_rows_are_relaxed_and_the_status_says_so() {
     // u_0 >= 100 and u_0 <= 50 together.
     case.c = [vec![1.0, 0.0, 0.0, 0.0, 0.0, 0.0], vec![-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]].concat();
     case.d = vec![-100.0, 50.0];
+    let case = case.priced();
     let mut u = vec![0.0; 6];
     let report = Solver::new(6, 2).solve(&case.problem(), &mut u, &mut || false);
     assert_eq!(report.status, Status::Relaxed, "{report:?}");
@@ -127,7 +139,7 @@ fn hard(seed: u64) -> Case {
             case.d.push(-case.d[row] - 0.01);
         }
     }
-    case
+    case.priced()
 }
 
 #[test]
@@ -149,7 +161,7 @@ fn a_solve_that_is_stopped_anywhere_is_bounded_and_no_worse_than_its_start() {
                 asked += 1;
                 asked > k
             });
-            let (before, after) = (solver.penalized(&problem, &start), solver.penalized(&problem, &u));
+            let (before, after) = (penalized(&problem, &start), penalized(&problem, &u));
             assert!(after <= before * (1.0 + 1e-12 * before.signum()), "seed {seed} k {k}: {after} from {before}");
             assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "seed {seed} k {k}: {u:?}");
             assert_eq!(late, 0, "seed {seed} k {k}: asked after the end");
@@ -191,7 +203,9 @@ fn drifted(case: &Case, seed: u64) -> Case {
         upper: case.upper.clone(),
         c: near(&case.c, 1e-3),
         d: near(&case.d, 1e-3),
+        price: Vec::new(),
     }
+    .priced()
 }
 
 fn far(a: &[f64], b: &[f64]) -> f64 {

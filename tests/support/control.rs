@@ -155,6 +155,7 @@ impl Plan for Told {
             kkt_residual: 0.0,
             optimal: true,
             relaxed: false,
+            hopeless: 0,
             solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,

@@ -22,6 +22,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Most pairs of body and obstacle that one step plans with; the nearest are kept.
 pub const PAIRS_MAX: usize = 256;
+/// A pair of a swarm's particle may miss what the complementarity solution misses and this (m): rounding.
+const STRICT_M: f64 = 1e-9;
 /// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
 const REACH_M: f64 = 0.05;
 
@@ -85,8 +87,12 @@ pub struct Report {
     /// residual small), or the swarm searched. False where the problem's iteration limit or the budget came first, and
     /// where a swarm without seeds found nothing as good as one, so that standing still means nothing.
     pub optimal: bool,
-    /// True where the distance rows had no common solution and were relaxed.
+    /// True where the distance rows of the last iteration had no common solution and were relaxed, those among them that
+    /// tensions move at all.
     pub relaxed: bool,
+    /// Pairs of the last iteration that no tensions of the arm bring to the required distance. They are asked for what is
+    /// possible; the rest of the plan is not given up for them.
+    pub hopeless: usize,
     /// Newton iterations of the complementarity problems of the whole step.
     pub solver_iterations: usize,
     /// Swarm sweeps of the whole step.
@@ -125,10 +131,11 @@ pub struct Planner {
     u: Vec<f64>,
     effective: Vec<f64>,
     candidate: Vec<f64>,
-    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bound of violation.
+    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bounds of violation, per pair; empty
+    /// for none.
     iterate: Vec<f64>,
     seeds: usize,
-    strict: Option<f64>,
+    strict: Vec<f64>,
     next: State,
     frames: Frames,
     frames_now: Frames,
@@ -180,7 +187,7 @@ impl Planner {
             candidate: vec![0.0; nc],
             iterate: vec![0.0; nc],
             seeds: 0,
-            strict: None,
+            strict: Vec::with_capacity(PAIRS_MAX),
             next: State::at_rest(arm.straight()),
             frames: frames(),
             frames_now: frames(),
@@ -241,17 +248,12 @@ impl Planner {
 
     /// Cost (28) of tensions in the last swarm's problem.
     fn swarm_cost(&self, u: &[f64], obstacles: &ObstacleSet) -> f64 {
-        let nc = u.len();
         let mut cost = self.quadratic.cost(u);
         for (r, row) in self.pairs.rows.iter().enumerate() {
-            let at = Vector3::from_fn(|c, _| {
-                let slope = &self.pairs.slope[(3 * r + c) * nc..(3 * r + c + 1) * nc];
-                self.pairs.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
-            });
-            let d = obstacles.moved_distance(row, &at) - self.pairs.required[r];
+            let d = obstacles.moved_distance(row, &self.pairs.position(r, u)) - self.pairs.required[r];
             let clearance = self.config.clearance_m;
             cost += self.config.swarm.penalty * penalty(d + clearance, clearance, self.pairs.length[r]).0;
-            if self.strict.is_some_and(|limit| -d > limit) {
+            if self.strict.get(r).is_some_and(|limit| -d > *limit) {
                 return f64::INFINITY;
             }
         }
@@ -284,6 +286,7 @@ impl Planner {
             kkt_residual: 0.0,
             optimal: false,
             relaxed: false,
+            hopeless: 0,
             solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,
@@ -417,8 +420,15 @@ impl Planner {
     }
 
     fn solve_safe(&mut self, stop: &mut dyn FnMut() -> bool, report: &mut Report) {
-        let problem =
-            Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
+        let problem = Problem {
+            a: &self.quadratic.a,
+            b: &self.quadratic.b,
+            lower: &self.low,
+            upper: &self.high,
+            c: &[],
+            d: &[],
+            price: &[],
+        };
         let solved = self.solver.solve(&problem, &mut self.u, stop);
         self.guess.forget();
         report.solver_iterations += solved.iterations;
@@ -434,12 +444,12 @@ impl Planner {
         stop: &mut dyn FnMut() -> bool,
         report: &mut Report,
     ) {
-        self.linearize_pairs(next, inputs);
+        self.linearize_pairs(next, inputs, report);
         let rows = self.pairs.rows.len();
         let nc = self.u.len();
         let branch = self.config.warning;
         let complementarity = matches!(branch, WarningBranch::Seeded | WarningBranch::Complementarity);
-        let mut strict = None;
+        self.strict.clear();
         if complementarity {
             self.candidate.copy_from_slice(&self.u);
             let problem = Problem {
@@ -449,27 +459,36 @@ impl Planner {
                 upper: &self.high,
                 c: &self.pairs.c[..rows * nc],
                 d: &self.pairs.d[..rows],
+                price: &self.pairs.price[..rows],
             };
             self.guess.guess_into(&self.pairs.rows, inputs.ahead, &mut self.pairs.multiplier);
             let solved = self.solver.solve_warm(&problem, &self.pairs.multiplier[..rows], &mut self.candidate, stop);
-            self.guess.keep(&self.pairs.rows, inputs.ahead, self.solver.multipliers(), solved.status);
+            let multipliers = self.solver.multipliers();
+            // A pair that gave way where it may is as good as any; a hard row that did is a conflict.
+            let sold = solved.status == complementarity::Status::Relaxed
+                && multipliers[..rows].iter().any(|multiplier| *multiplier >= self.pairs.hard * (1.0 - 1e-9));
+            let status = match solved.status {
+                complementarity::Status::Relaxed if !sold => complementarity::Status::Optimal,
+                status => status,
+            };
+            self.guess.keep(&self.pairs.rows, inputs.ahead, multipliers, status);
             report.solver_iterations += solved.iterations;
             report.optimal = solved.status.is_optimal();
             report.kkt_residual = solved.kkt_residual;
-            report.relaxed = solved.status == complementarity::Status::Relaxed;
+            report.relaxed |= sold;
             if branch == WarningBranch::Complementarity {
                 self.u.copy_from_slice(&self.candidate);
                 return;
             }
-            let violation = (0..rows)
-                .map(|r| {
-                    let c = &self.pairs.c[r * nc..(r + 1) * nc];
-                    -(self.pairs.d[r] + c.iter().zip(&self.candidate).map(|(c, u)| c * u).sum::<f64>())
-                })
-                .fold(0.0f64, f64::max);
             // A candidate that was not solved to its end may ignore rows: a seed like any other, no measure of what can
             // be kept.
-            strict = solved.status.is_optimal().then_some(violation + 1e-9);
+            if solved.status.is_optimal() {
+                for (r, row) in self.pairs.rows.iter().enumerate() {
+                    let at = self.pairs.position(r, &self.candidate);
+                    let missing = self.pairs.required[r] - inputs.ahead.moved_distance(row, &at);
+                    self.strict.push(missing.max(0.0) + STRICT_M);
+                }
+            }
         } else {
             report.kkt_residual = f64::NAN;
             report.optimal = true;
@@ -484,7 +503,6 @@ impl Planner {
             obstacles: inputs.ahead,
         };
         self.iterate.copy_from_slice(&self.u);
-        self.strict = strict;
         let all: [&[f64]; 3] = [&self.previous, &self.iterate, &self.candidate];
         let seeds = if complementarity { &all[..] } else { &all[..2] };
         self.seeds = seeds.len();
@@ -497,7 +515,7 @@ impl Planner {
             &self.low,
             &self.high,
             seeds,
-            strict,
+            &self.strict,
             rng,
             stop,
         );
