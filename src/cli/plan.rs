@@ -100,8 +100,8 @@ impl Plan {
         if let Some(recording) = recording {
             recording.finish().into_diagnostic()?;
         }
-        let eta = scenario.planner.lookahead_s;
-        let summary = collector.summary(&scenario.name, seed, eta, eta, false);
+        let (period_s, lookahead_s) = (scenario.planner.period_s, scenario.planner.lookahead_s);
+        let summary = collector.summary(&scenario.name, seed, period_s, lookahead_s, false);
         if self.json {
             println!("{}", serde_json::to_string_pretty(&summary).into_diagnostic()?);
         } else {

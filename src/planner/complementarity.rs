@@ -49,7 +49,7 @@ pub struct Problem<'a> {
     pub price: &'a [f64],
 }
 
-/// A price per metre (half) that no quadratic outbids where it can be paid: [`PRICE`] times what it costs at most to move
+/// A price per metre (half) that no quadratic outbids where it can be paid: 1e6 times what it costs at most to move
 /// the longest of `rows` (m/N) by a metre, all in tensions scaled by the diagonal of `A`. With the rows of whatever
 /// moves farthest it depends on no pair, and a pair that moves by less than a millionth of that gives way to the task.
 pub fn exact_price<'a>(a: &[f64], b: &[f64], rows: impl Iterator<Item = &'a [f64]>) -> f64 {
@@ -401,7 +401,7 @@ impl Solver {
             }
             regular &= !accepted.settled;
         }
-        if !(residual <= accepted.residual) && accepted.residual.is_finite() {
+        if accepted.residual.is_finite() && (residual.is_nan() || residual > accepted.residual) {
             z[..m].copy_from_slice(&self.accepted[..m]);
             residual = accepted.residual;
         }
@@ -537,7 +537,7 @@ struct Accepted {
 impl Accepted {
     /// Whether this iterate is the best now.
     fn takes(&mut self, residual: f64, size: f64) -> bool {
-        if !(residual <= ACCEPTED * size) {
+        if residual.is_nan() || residual > ACCEPTED * size {
             return false;
         }
         self.settled = self.residual.is_finite() && residual > 0.5 * self.residual;

@@ -156,6 +156,7 @@ impl Plan for Told {
             optimal: true,
             relaxed: false,
             hopeless: 0,
+            truncated: false,
             solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,

@@ -37,6 +37,8 @@ pub(super) struct PairBuffers {
     pub(super) d: Vec<f64>,
     /// Price per metre of each row's violation, half.
     pub(super) price: Vec<f64>,
+    /// Whether there were more than there is room for.
+    pub(super) overflow: bool,
     /// Price of a hard row.
     pub(super) hard: f64,
     /// Multipliers that the last solution lets expect.
@@ -55,6 +57,7 @@ impl PairBuffers {
             c: vec![0.0; PAIRS_MAX * cables],
             d: vec![0.0; PAIRS_MAX],
             price: vec![0.0; PAIRS_MAX],
+            overflow: false,
             hard: 0.0,
             multiplier: vec![0.0; PAIRS_MAX],
         }
@@ -78,7 +81,7 @@ impl Planner {
         let nc = self.u.len();
         let moved = (0..self.arm.node_count()).flat_map(|node| (0..3).map(move |c| COORDINATES * node + c));
         self.pairs.hard = exact_price(&self.quadratic.a, &self.quadratic.b, moved.map(|row| self.map.row(row)));
-        (report.hopeless, report.relaxed) = (0, false);
+        (report.hopeless, report.relaxed, report.truncated) = (0, false, self.pairs.overflow);
         self.tangent_known.fill(false);
         self.pairs.required.clear();
         self.pairs.length.clear();
