@@ -58,6 +58,8 @@ fn json_is_one_object_with_every_field_and_nothing_else() {
         "lookahead_s",
         "ticks",
         "not_converged",
+        "relaxed",
+        "truncated",
         "newton",
         "obstacles",
         "tension_n",

@@ -426,14 +426,18 @@ fn a_deadline_that_is_over_at_once_still_gives_bounded_tensions_and_says_so() {
 #[test]
 fn the_same_seed_gives_the_same_tensions_bit_for_bit_and_another_seed_does_not() {
     let run = |seed| {
-        let mut rig = Rig::real(&settings(), seed);
+        let mut settings = settings();
+        // The swarm alone decides: beside the complementarity solution it mostly confirms that.
+        settings.planner.warning = sinew::config::WarningBranch::Swarm;
+        let mut rig = Rig::real(&settings, seed);
         rig.ball(1, 0.1, [0.19, 0.05, -2.0]);
         rig.arm();
-        rig.target = Some(tip([0.3, 0.1, -2.6], [0.0; 3]));
+        // Near enough for two iterations a tick: a step that diverges is a fault after a few.
+        rig.target = Some(tip([0.08, 0.02, -2.73], [0.0; 3]));
         rig.ask(Request::Track);
         let mut bits = Vec::new();
         let mut sweeps = 0;
-        for _ in 0..200 {
+        for _ in 0..100 {
             rig.step(None);
             bits.extend(rig.cycle.tensions_n().iter().map(|u| u.to_bits()));
             assert_eq!(rig.cycle.mode(), Mode::Tracking, "{:?}", rig.fault());

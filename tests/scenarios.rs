@@ -128,6 +128,41 @@ fn the_shape_example_saturates_the_paper_s_cables_at_the_reference_times() {
     assert!((first.surface_distance_min_m + 0.0543619).abs() < 1e-6, "{}", first.surface_distance_min_m);
 }
 
+/// The tip example without avoidance over 20 s, with other settings: ticks, largest tip error (m).
+fn tip_with(change: impl Fn(&mut ScenarioConfig)) -> (u64, f64) {
+    let mut scenario = ScenarioConfig::find("tip-no-avoidance").unwrap();
+    scenario.duration_s = 20.0;
+    change(&mut scenario);
+    let mut run = Run::new(&scenario, 1).unwrap();
+    let mut collector = run.collector();
+    while run.steps() < run.total() {
+        let step = run.step(&mut || 0).unwrap();
+        run.collect(&step, &mut collector);
+    }
+    assert!((run.steps() as f64 * scenario.planner.period_s - 20.0).abs() < 1e-9);
+    let s = collector.summary("tip", 1, scenario.planner.period_s, scenario.planner.lookahead_s, false);
+    (s.ticks, s.tip_error_m.unwrap().norm_max)
+}
+
+#[test]
+fn a_period_below_the_lookahead_keeps_the_pace_and_a_lead_takes_the_lag_away() {
+    let (ticks, paper) = tip_with(|_| ());
+    assert_eq!(ticks, 200);
+    // The lag is that of the weights, whatever the period: design section 12.
+    for (period_s, want) in [(0.05, 400), (0.02, 1000)] {
+        let (ticks, error) = tip_with(|s| s.planner.period_s = period_s);
+        assert_eq!(ticks, want);
+        assert!(
+            (error - paper).abs() < 1e-3 && error != paper,
+            "{period_s} s: {error} m, {paper} m in the paper's setting"
+        );
+    }
+    for period_s in [0.1, 0.02] {
+        let (_, led) = tip_with(|s| (s.planner.period_s, s.planner.lead_s) = (period_s, Some(0.2)));
+        assert!(led < 0.35 * paper, "{period_s} s: {led} m with a lead, {paper} m without");
+    }
+}
+
 #[test]
 fn the_same_seed_gives_the_same_plan() {
     let a = run("tip", WarningBranch::Seeded, BodyModel::Arm, 3);

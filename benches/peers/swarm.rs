@@ -104,8 +104,7 @@ impl Server {
             let begin = cpu_seconds();
             let seeds: [&[f64]; 1] = [&p.case.u_previous];
             let found =
-                swarm
-                    .search(variant, &config, &p.quadratic, &pairs, &low, &high, &seeds, None, &mut rng, &mut || false);
+                swarm.search(variant, &config, &p.quadratic, &pairs, &low, &high, &seeds, &[], &mut rng, &mut || false);
             seconds.push(cpu_seconds() - begin);
             evaluations.push(found.evaluations);
             costs.push(found.cost);

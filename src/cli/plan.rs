@@ -104,8 +104,8 @@ impl Plan {
         if let Some(recording) = recording {
             recording.finish().map_err(unrecorded)?;
         }
-        let eta = scenario.planner.lookahead_s;
-        let summary = collector.summary(&scenario.name, seed, eta, eta, false);
+        let (period_s, lookahead_s) = (scenario.planner.period_s, scenario.planner.lookahead_s);
+        let summary = collector.summary(&scenario.name, seed, period_s, lookahead_s, false);
         if self.json {
             print_json(&summary)?;
         } else {

@@ -13,8 +13,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::shape::ShapeError;
 
-/// Most points of a hull: at most 508 triangles in a query.
-pub const HULL_POINTS_MAX: usize = 256;
+pub use crate::config::HULL_POINTS_MAX;
 
 /// Flatter than this share of its largest extent, a hull is refused: its faces would be noise.
 const THICKNESS_MIN: f64 = 1e-6;

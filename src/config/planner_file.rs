@@ -151,7 +151,7 @@ pub static SCENARIO_PLANNER: TableSpec = TableSpec {
             POSITIVE_SECONDS,
             "s",
             "the lookahead",
-            "Step of the open-loop run; the lookahead must be a whole multiple of it."
+            "Step of the open-loop run: each plan reaches over the lookahead and is carried out for this long by the model, with the weights on changes scaled by lookahead/period. The lookahead must be a whole multiple of it."
         ),
         Key::default(
             "body_radius_m",
@@ -278,7 +278,9 @@ fn swarm(table: &Section<'_>) -> SwarmConfig {
         penalty: table.float("penalty"),
     };
     let particles = config.particles_normal + config.particles_uniform;
-    if config.chaotic_max > particles {
+    if particles == 0 {
+        table.refuse("particles_uniform", "no particles at all", "permitted: 1 to 10000 where `particles_normal` is 0");
+    } else if config.chaotic_max > particles {
         table.refuse("chaotic_max", "more than there are particles", &format!("permitted: 0 to {particles}"));
     }
     if config.chaotic_min > config.chaotic_max {

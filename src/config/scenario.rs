@@ -175,7 +175,7 @@ pub struct ScenarioConfig {
     pub start: Start,
     /// Obstacles.
     pub obstacles: Vec<ObstacleConfig>,
-    /// Planner settings of the open-loop run, period = lookahead.
+    /// Planner settings of the open-loop run.
     pub planner: PlannerConfig,
     /// Values compared at the end of a run, as reported by the paper and by the reference implementation.
     pub figures: Vec<PublishedFigure>,
@@ -195,6 +195,9 @@ pub struct PublishedFigure {
     /// Path of our value in the JSON summary, e.g. `obstacles.0.points.surface_distance_min_m`.
     pub field: String,
 }
+
+/// Most points of a hull, in files and from clients: at most 508 triangles in a query.
+pub const HULL_POINTS_MAX: usize = 256;
 
 /// One run of a sweep.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -6,7 +6,8 @@ use super::error::ConfigError;
 use super::planner_file::{SCENARIO_PLANNER, WARNINGS, warning};
 use super::reader::{self, Document, Section};
 use super::scenario::{
-    Motion, ObstacleConfig, PublishedFigure, ScenarioConfig, ShapeConfig, Start, SweepRun, Task, TipPath, Waypoint,
+    HULL_POINTS_MAX, Motion, ObstacleConfig, PublishedFigure, ScenarioConfig, ShapeConfig, Start, SweepRun, Task,
+    TipPath, Waypoint,
 };
 use super::schema::{Key, Kind, Length, Range, TableSpec};
 use super::weights::{POSITIVE_WEIGHT, SEGMENT_WEIGHTS, WEIGHT, refuse_other_length};
@@ -199,7 +200,7 @@ static OBSTACLE: TableSpec = TableSpec {
         ),
         Key::required(
             "points_m",
-            Kind::Points(Length::Between(4, 1000)),
+            Kind::Points(Length::Between(4, HULL_POINTS_MAX)),
             "m",
             "Points whose hull it is, not all in one plane (hull).",
         ),
@@ -472,11 +473,8 @@ fn obstacle(section: &Section<'_>) -> ObstacleConfig {
         "hull" => {
             let points_m = section.points("points_m");
             if section.is_clean() && !spans_space(&points_m) {
-                section.refuse(
-                    "points_m",
-                    "all points lie in one plane",
-                    "permitted: 4 to 1000 points, not all in one plane",
-                );
+                let help = format!("permitted: 4 to {HULL_POINTS_MAX} points, not all in one plane");
+                section.refuse("points_m", "all points lie in one plane", &help);
             }
             ShapeConfig::Hull { points_m }
         }

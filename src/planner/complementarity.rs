@@ -4,8 +4,10 @@
 //!
 //! With the multipliers `mu` of the rows (half of the usual ones, as in (22)) the optimality conditions are one box
 //! complementarity problem in `z = (u, mu)`, `F(z) = (A u + b - C^T mu, C u + d)`, box `[lower, upper] x [0, M]`; the
-//! upper end M of `mu` *is* the L1 penalty, so rows that conflict need no other treatment. The paper's `alpha` and
-//! `beta` of both bounds are eliminated by hand: per component
+//! upper end M of `mu`, each row's own price per metre, *is* the L1 penalty, so rows that conflict need no other treatment:
+//! where all have one price, the sum of the metres that are missing is least, whatever tensions they take. A price per
+//! newton would give a row that hardly moves the right to all tensions. The paper's `alpha` and `beta` of both bounds
+//! are eliminated by hand: per component
 //! `rho(z - l, rho(h - z, -F)) = 0` with `rho` of (24) (Billups 1995), so Newton works on the tensions and the few
 //! rows that matter. Rows enter only when a solution without them violates them: adjacent points of an arm give nearly
 //! equal rows, and a Newton on all of them would be needlessly large and badly conditioned. Rows that held back the
@@ -15,7 +17,7 @@
 //! Anytime: the caller's `stop` is asked after every Newton iteration. An answer that is not known to be optimal (stopped,
 //! or at the iteration limit) may ignore rows that were not yet in the working set; it is therefore never taken unseen
 //! but compared with the start and with the answers of the smaller working sets, all by the cost with the penalty of
-//! *all* rows ([`Solver::penalized`]), and the best of them is the answer.
+//! *all* rows ([`penalized`]), and the best of them is the answer.
 //!
 //! Newton has two faces here. On the natural residual `z - mid(l, h, z - F)` each iteration is a primal-dual active-set step
 //! (Hintermueller, Ito and Kunisch 2002): components are held at the bound that they lean on and a linear system in the free
@@ -42,15 +44,36 @@ pub struct Problem<'a> {
     pub c: &'a [f64],
     /// `d`, p.
     pub d: &'a [f64],
+    /// What a metre of a row's violation costs, half as with the multipliers, p: finite, above 0. [`exact_price`] for rows
+    /// that are given up only for one another.
+    pub price: &'a [f64],
 }
+
+/// A price per metre (half) that no quadratic outbids where it can be paid: 1e6 times what it costs at most to move
+/// the longest of `rows` (m/N) by a metre, all in tensions scaled by the diagonal of `A`. With the rows of whatever
+/// moves farthest it depends on no pair, and a pair that moves by less than a millionth of that gives way to the task.
+pub fn exact_price<'a>(a: &[f64], b: &[f64], rows: impl Iterator<Item = &'a [f64]>) -> f64 {
+    let n = b.len();
+    let longest =
+        rows.map(|row| (0..n).map(|i| row[i] * row[i] / a[i * n + i]).sum::<f64>()).fold(0.0f64, f64::max).sqrt();
+    let pull = (0..n).fold(1.0f64, |most, i| most.max(b[i].abs() / a[i * n + i].sqrt()));
+    if longest > 0.0 { PRICE * pull / longest } else { PRICE * pull }
+}
+
+/// Price of hard rows over the quadratic's pull: much larger and what conflicts would drown in rounding, much smaller and
+/// rows that take long ways would be given up.
+const PRICE: f64 = 1e6;
 
 /// How a solve ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
     /// Optimal.
     Optimal,
-    /// Optimal for the L1 penalty: some row stays violated, because no tensions satisfy all of them.
+    /// Optimal for the L1 penalty: some row stays violated, because no tensions satisfy all of them, or only at more than
+    /// its price.
     Relaxed,
+    /// As many rows work as there is room for, and others are violated: the best answer met, as for the iteration limit.
+    Overfull,
     /// The iteration limit came first; the answer is inside the box and no worse than the start, its residual is
     /// reported.
     IterationLimit,
@@ -84,13 +107,13 @@ pub struct Report {
 pub struct Solver {
     n: usize,
     capacity: usize,
-    /// Relative size of the L1 penalty's multiplier bound.
-    penalty: f64,
     scale: Vec<f64>,
     a: Vec<f64>,
     b: Vec<f64>,
     c: Vec<f64>,
     row_scale: Vec<f64>,
+    /// Lengths of all rows in scaled tensions.
+    length: Vec<f64>,
     row_of: Vec<usize>,
     z: Vec<f64>,
     low: Vec<f64>,
@@ -100,6 +123,8 @@ pub struct Solver {
     step: Vec<f64>,
     trial: Vec<f64>,
     start: Vec<f64>,
+    /// Best iterate that counts as solved.
+    accepted: Vec<f64>,
     /// Components between their bounds in the last active-set step.
     free: Vec<usize>,
     used: Vec<bool>,
@@ -108,8 +133,12 @@ pub struct Solver {
     best: Vec<f64>,
 }
 
-/// Stop: the natural residual over the problem's size.
+/// Stop: the natural residual is at most this share of the problem's size, beside the rounding of the multipliers' terms.
 const TOLERANCE: f64 = 1e-13;
+/// Rounding of the multipliers' terms in the residual, over the sum of the multipliers.
+const ROUNDING: f64 = 2.0 * f64::EPSILON;
+/// A residual up to this share of the size counts as solved where rounding does not let it fall further.
+const ACCEPTED: f64 = 1e-9;
 /// Most Newton iterations per working set, steps of active sets among them.
 const ITERATIONS_MAX: usize = 80;
 /// Most active-set steps per working set; where they have not ended the search by then, they cycle or are far off.
@@ -129,12 +158,12 @@ impl Solver {
         Self {
             n,
             capacity: rows,
-            penalty: 1e6,
             scale: vec![0.0; n],
             a: vec![0.0; n * n],
             b: vec![0.0; n],
             c: vec![0.0; (m - n) * n],
             row_scale: vec![0.0; m - n],
+            length: vec![0.0; rows],
             row_of: Vec::with_capacity(m - n),
             z: vec![0.0; m],
             low: vec![0.0; m],
@@ -144,6 +173,7 @@ impl Solver {
             step: vec![0.0; m],
             trial: vec![0.0; m],
             start: vec![0.0; m],
+            accepted: vec![0.0; m],
             free: Vec::with_capacity(m),
             used: vec![false; rows],
             multipliers: vec![0.0; rows],
@@ -196,6 +226,10 @@ impl Solver {
             self.z[i] = (u[i] / self.scale[i]).clamp(self.low[i], self.high[i]);
         }
         let size = self.b.iter().chain(&self.low[..n]).chain(&self.high[..n]).fold(1e-300f64, |s, v| s.max(v.abs()));
+        for (row, length) in self.length[..p].iter_mut().enumerate() {
+            let c = &problem.c[row * n..(row + 1) * n];
+            *length = c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt();
+        }
         self.used[..p].fill(false);
         self.multipliers[..p].fill(0.0);
         self.row_of.clear();
@@ -203,29 +237,29 @@ impl Solver {
         for i in 0..n {
             self.best[i] = u[i].clamp(problem.lower[i], problem.upper[i]);
         }
-        let mut best = self.penalized(problem, &self.best);
+        let mut best = penalized(problem, &self.best);
         let mut stopped = false;
         for (row, multiplier) in guess.iter().enumerate().filter(|(_, multiplier)| **multiplier > 0.0) {
             self.enter(problem, row, *multiplier);
         }
         let mut guessed = !self.row_of.is_empty();
-        let left_out = loop {
+        let (solved, left_out) = loop {
             let limit = if guessed { WARM_ITERATIONS_MAX } else { ITERATIONS_MAX };
-            let (iterations, residual) = self.newton(problem, size, limit, stop, &mut stopped);
+            let (iterations, residual, solved) = self.newton(problem, size, limit, stop, &mut stopped);
             report.iterations += iterations;
             // Over an infinite size everything would be small.
             report.kkt_residual = if size.is_finite() { residual / size } else { f64::NAN };
             for i in 0..n {
                 u[i] = (self.z[i] * self.scale[i]).clamp(problem.lower[i], problem.upper[i]);
             }
-            let cost = self.penalized(problem, u);
+            let cost = penalized(problem, u);
             // Anything that is a number is better than what is not.
             if cost < best || best.is_nan() {
                 best = cost;
                 self.best.copy_from_slice(u);
             }
             // A guess that leads nowhere: from the best so far, without it.
-            if std::mem::take(&mut guessed) && !stopped && !is_solved(&report) {
+            if std::mem::take(&mut guessed) && !stopped && !solved {
                 for i in 0..n {
                     self.z[i] = self.best[i] / self.scale[i];
                 }
@@ -235,8 +269,8 @@ impl Solver {
             }
             // Stopped, a solution of the working set is one of the problem only where no row is left out.
             let left_out = self.add_violated(problem, u);
-            if stopped || !left_out {
-                break left_out;
+            if stopped || left_out != LeftOut::Entered {
+                break (solved, left_out);
             }
         };
         report.rows = self.row_of.len();
@@ -245,15 +279,16 @@ impl Solver {
             self.multipliers[row] = self.z[n + k].max(0.0) / self.row_scale[k];
             relaxed |= self.z[n + k] >= self.high[n + k] * (1.0 - 1e-9);
         }
-        // Rows that found no room in the working set would be violated silently: say so.
-        let value = |row: usize| {
-            problem.d[row] + problem.c[row * n..(row + 1) * n].iter().zip(&*u).map(|(c, u)| c * u).sum::<f64>()
-        };
-        relaxed |= (0..p).any(|r| !self.used[r] && value(r) < -1e-9);
-        let optimal = is_solved(&report) && !left_out;
+        // Rows that no tension moves never work: they would be violated silently.
+        relaxed |= (0..p).any(|row| self.length[row] == 0.0 && problem.d[row] < -1e-9);
+        let optimal = solved && left_out == LeftOut::None;
         report.status = if !optimal {
             u.copy_from_slice(&self.best);
-            if stopped { Status::Stopped } else { Status::IterationLimit }
+            match left_out {
+                _ if stopped => Status::Stopped,
+                LeftOut::NoRoom if solved => Status::Overfull,
+                _ => Status::IterationLimit,
+            }
         } else if relaxed {
             Status::Relaxed
         } else {
@@ -262,24 +297,18 @@ impl Solver {
         report
     }
 
-    /// Adds the most violated rows to the working set; false when none is violated or no room is left.
-    fn add_violated(&mut self, problem: &Problem<'_>, u: &[f64]) -> bool {
-        let n = self.n;
-        let room = self.z.len() - n;
-        let mut added = 0;
+    /// Adds the most violated rows to the working set.
+    fn add_violated(&mut self, problem: &Problem<'_>, u: &[f64]) -> LeftOut {
+        let mut left_out = LeftOut::None;
         // A few at a time: after the worst is satisfied its neighbours mostly are too.
-        while added < 4 && self.row_of.len() < room {
+        for _ in 0..4 {
+            // Violation in metres, so that rows of different reach compare by depth.
             let mut worst = (usize::MAX, -ROW_TOLERANCE);
             for row in 0..problem.d.len() {
-                if self.used[row] {
+                if self.used[row] || self.length[row] == 0.0 {
                     continue;
                 }
-                let c = &problem.c[row * n..(row + 1) * n];
-                if self.row_length(c) == 0.0 {
-                    continue;
-                }
-                let value = problem.d[row] + c.iter().zip(u).map(|(c, u)| c * u).sum::<f64>();
-                // Violation on the scale of 1 m, so that rows of different reach compare by depth.
+                let value = row_value(problem, row, u);
                 if value < worst.1 {
                     worst = (row, value);
                 }
@@ -287,20 +316,22 @@ impl Solver {
             if worst.0 == usize::MAX {
                 break;
             }
-            self.enter(problem, worst.0, 0.0);
-            added += 1;
+            if !self.enter(problem, worst.0, 0.0) {
+                return if left_out == LeftOut::None { LeftOut::NoRoom } else { left_out };
+            }
+            left_out = LeftOut::Entered;
         }
-        added > 0
+        left_out
     }
 
-    /// Takes a row into the working set, where there is room and some tension moves it.
-    fn enter(&mut self, problem: &Problem<'_>, row: usize, multiplier: f64) {
+    /// Takes a row into the working set, where there is room and some tension moves it; tells whether it did.
+    fn enter(&mut self, problem: &Problem<'_>, row: usize, multiplier: f64) -> bool {
         let (n, k) = (self.n, self.row_of.len());
-        let c = &problem.c[row * n..(row + 1) * n];
-        let size = self.row_length(c);
+        let size = self.length[row];
         if n + k == self.z.len() || size == 0.0 {
-            return;
+            return false;
         }
+        let c = &problem.c[row * n..(row + 1) * n];
         self.used[row] = true;
         self.row_of.push(row);
         for i in 0..n {
@@ -308,36 +339,9 @@ impl Solver {
         }
         self.row_scale[k] = size;
         self.low[n + k] = 0.0;
-        self.high[n + k] = self.multiplier_max();
+        self.high[n + k] = problem.price[row] * size;
         self.z[n + k] = (multiplier * size).min(self.high[n + k]);
-    }
-
-    /// What the last solve minimised, at any tensions: the quadratic plus the L1 penalty of all rows, in the working set
-    /// or not. Does not allocate.
-    pub fn penalized(&self, problem: &Problem<'_>, u: &[f64]) -> f64 {
-        let n = self.n;
-        let product = |row: &[f64]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
-        let cost: f64 = (0..n).map(|i| u[i] * (product(&problem.a[i * n..(i + 1) * n]) + 2.0 * problem.b[i])).sum();
-        let violation: f64 = (0..problem.d.len())
-            .map(|row| {
-                let c = &problem.c[row * n..(row + 1) * n];
-                let value = problem.d[row] + product(c);
-                // A row that no tension moves counts by its depth alone.
-                let size = self.row_length(c);
-                if value < 0.0 { -value / if size == 0.0 { 1.0 } else { size } } else { 0.0 }
-            })
-            .sum();
-        cost + 2.0 * self.multiplier_max() * violation
-    }
-
-    /// Length of a row in scaled tensions.
-    fn row_length(&self, c: &[f64]) -> f64 {
-        c.iter().zip(&self.scale).map(|(c, s)| (c * s).powi(2)).sum::<f64>().sqrt()
-    }
-
-    /// M, the bound of the multipliers.
-    fn multiplier_max(&self) -> f64 {
-        self.penalty * self.b.iter().fold(1.0f64, |s, v| s.max(v.abs()))
+        true
     }
 
     fn evaluate(&self, problem: &Problem<'_>, z: &[f64], force: &mut [f64]) {
@@ -348,7 +352,7 @@ impl Solver {
         (0..force.len()).map(|i| component(z[i] - self.low[i], self.high[i] - z[i], force[i]).0.powi(2)).sum()
     }
 
-    /// Newton on the working set; returns iterations and the natural residual.
+    /// Newton on the working set; returns iterations, the natural residual, and whether that is a solution.
     fn newton(
         &mut self,
         problem: &Problem<'_>,
@@ -356,37 +360,56 @@ impl Solver {
         limit: usize,
         stop: &mut dyn FnMut() -> bool,
         stopped: &mut bool,
-    ) -> (usize, f64) {
-        let m = self.n + self.row_of.len();
+    ) -> (usize, f64, bool) {
+        let (n, m) = (self.n, self.n + self.row_of.len());
         let mut force = std::mem::take(&mut self.force);
         let mut z = std::mem::take(&mut self.z);
         self.start[..m].copy_from_slice(&z[..m]);
         self.evaluate(problem, &z, &mut force[..m]);
         let mut residual = self.natural(&z[..m], &force[..m]);
-        let unsolved = |residual: f64| residual > TOLERANCE * size;
+        // What a price is paid for leaves rounding of its own size.
+        let tolerance = |z: &[f64]| TOLERANCE * size + ROUNDING * z[n..m].iter().map(|mu| mu.abs()).sum::<f64>();
+        let mut accepted = Accepted { residual: f64::INFINITY, settled: false };
         let (mut iterations, mut regular) = (0, true);
         // Every solve may make one step, whatever the time: a machine that is always late moves all the same.
-        while unsolved(residual) && regular && !*stopped && iterations < limit.min(ACTIVE_SET_STEPS_MAX) {
+        while residual > tolerance(&z) && regular && !*stopped && iterations < limit.min(ACTIVE_SET_STEPS_MAX) {
             iterations += 1;
             regular = self.active_set_step(problem, &mut z[..m], &mut force[..m]);
             residual = self.natural(&z[..m], &force[..m]);
             *stopped = stop();
+            if accepted.takes(residual, size) {
+                self.accepted[..m].copy_from_slice(&z[..m]);
+            }
+            if accepted.settled {
+                break;
+            }
         }
-        if !(residual <= TOLERANCE * size || *stopped) {
+        let found = residual <= tolerance(&z) || accepted.residual.is_finite();
+        if !(found || *stopped) {
             z[..m].copy_from_slice(&self.start[..m]);
             self.evaluate(problem, &z, &mut force[..m]);
             residual = self.natural(&z[..m], &force[..m]);
         }
-        let mut regular = true;
-        while unsolved(residual) && regular && !*stopped && iterations < limit {
+        let mut regular = !found;
+        while residual > tolerance(&z) && regular && !*stopped && iterations < limit {
             iterations += 1;
             regular = self.fischer_burmeister_step(problem, size, &mut z[..m], &mut force[..m]);
             residual = self.natural(&z[..m], &force[..m]);
             *stopped = stop();
+            if accepted.takes(residual, size) {
+                self.accepted[..m].copy_from_slice(&z[..m]);
+            }
+            regular &= !accepted.settled;
         }
+        if accepted.residual.is_finite() && (residual.is_nan() || residual > accepted.residual) {
+            z[..m].copy_from_slice(&self.accepted[..m]);
+            residual = accepted.residual;
+        }
+        // Over an infinite size everything would be small.
+        let solved = size.is_finite() && (residual <= ACCEPTED * size || residual <= tolerance(&z));
         self.force = force;
         self.z = z;
-        (iterations, residual)
+        (iterations, residual, solved)
     }
 
     /// One step of Newton on (24) from `z` with its `force`, which become the next iterate's; false where the generalised
@@ -493,9 +516,52 @@ impl Solver {
     }
 }
 
-/// Whether the last working set was solved: a residual that is not a number is no optimum.
-fn is_solved(report: &Report) -> bool {
-    report.kkt_residual <= 1e-9
+/// What a solution of the working set leaves out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum LeftOut {
+    /// No violated row.
+    None,
+    /// Rows that now work too.
+    Entered,
+    /// Rows for which there is no room.
+    NoRoom,
+}
+
+/// The best residual that counts as solved.
+struct Accepted {
+    residual: f64,
+    /// Another iterate did not halve it: rounding is all that is left.
+    settled: bool,
+}
+
+impl Accepted {
+    /// Whether this iterate is the best now.
+    fn takes(&mut self, residual: f64, size: f64) -> bool {
+        if residual.is_nan() || residual > ACCEPTED * size {
+            return false;
+        }
+        self.settled = self.residual.is_finite() && residual > 0.5 * self.residual;
+        let better = residual < self.residual;
+        self.residual = self.residual.min(residual);
+        better
+    }
+}
+
+/// `C u + d` of one row.
+fn row_value(problem: &Problem<'_>, row: usize, u: &[f64]) -> f64 {
+    let n = u.len();
+    problem.d[row] + problem.c[row * n..(row + 1) * n].iter().zip(u).map(|(c, u)| c * u).sum::<f64>()
+}
+
+/// What a solve minimises, at any tensions: the quadratic plus the L1 penalty of all rows, in the working set or not. Does
+/// not allocate.
+pub fn penalized(problem: &Problem<'_>, u: &[f64]) -> f64 {
+    let n = u.len();
+    let product = |row: &[f64]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+    let cost: f64 = (0..n).map(|i| u[i] * (product(&problem.a[i * n..(i + 1) * n]) + 2.0 * problem.b[i])).sum();
+    let missing: f64 =
+        (0..problem.d.len()).map(|row| problem.price[row] * (-row_value(problem, row, u)).max(0.0)).sum();
+    cost + 2.0 * missing
 }
 
 /// [`Solver::evaluate`] with the processor's vectors: `F(z)` of the working set.

@@ -11,11 +11,21 @@ struct Case {
     upper: Vec<f64>,
     c: Vec<f64>,
     d: Vec<f64>,
+    /// Of every row, where the longest is not the measure of all.
+    price: Vec<f64>,
 }
 
 impl Case {
+    /// The price of every row is that of [`exact_price`], by the longest of them.
+    fn priced(mut self) -> Self {
+        let price = exact_price(&self.a, &self.b, self.c.chunks_exact(self.b.len()));
+        self.price = vec![price; self.d.len()];
+        self
+    }
+
     fn problem(&self) -> Problem<'_> {
-        Problem { a: &self.a, b: &self.b, lower: &self.lower, upper: &self.upper, c: &self.c, d: &self.d }
+        let Self { a, b, lower, upper, c, d, price } = self;
+        Problem { a, b, lower, upper, c, d, price }
     }
 }
 
@@ -38,7 +48,7 @@ fn random(n: usize, rows: usize, seed: u64) -> Case {
     let d = (0..rows)
         .map(|r| rng.random_range(0.0..0.01) - (0..n).map(|j| c[r * n + j] * inside[j]).sum::<f64>())
         .collect();
-    Case { a, b, lower: vec![0.0; n], upper: vec![220.0; n], c, d }
+    Case { a, b, lower: vec![0.0; n], upper: vec![220.0; n], c, d, price: Vec::new() }.priced()
 }
 
 fn kkt(case: &Case, u: &[f64], mu: &[f64]) -> f64 {
@@ -83,6 +93,7 @@ fn complementarity_holds_with_rows_and_with_duplicated_rows() {
             case.c.extend(row);
             case.d.push(case.d[copy]);
         }
+        let case = case.priced();
         let mut solver = Solver::new(24, 16);
         let mut u = vec![110.0; 24];
         let report = solver.solve(&case.problem(), &mut u, &mut || false);
@@ -97,6 +108,7 @@ fn conflicting_rows_are_relaxed_and_the_status_says_so() {
     // u_0 >= 100 and u_0 <= 50 together.
     case.c = [vec![1.0, 0.0, 0.0, 0.0, 0.0, 0.0], vec![-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]].concat();
     case.d = vec![-100.0, 50.0];
+    let case = case.priced();
     let mut u = vec![0.0; 6];
     let report = Solver::new(6, 2).solve(&case.problem(), &mut u, &mut || false);
     assert_eq!(report.status, Status::Relaxed, "{report:?}");
@@ -127,7 +139,7 @@ fn hard(seed: u64) -> Case {
             case.d.push(-case.d[row] - 0.01);
         }
     }
-    case
+    case.priced()
 }
 
 #[test]
@@ -149,7 +161,7 @@ fn a_solve_that_is_stopped_anywhere_is_bounded_and_no_worse_than_its_start() {
                 asked += 1;
                 asked > k
             });
-            let (before, after) = (solver.penalized(&problem, &start), solver.penalized(&problem, &u));
+            let (before, after) = (penalized(&problem, &start), penalized(&problem, &u));
             assert!(after <= before * (1.0 + 1e-12 * before.signum()), "seed {seed} k {k}: {after} from {before}");
             assert!(u.iter().all(|v| (0.0..=220.0).contains(v)), "seed {seed} k {k}: {u:?}");
             assert_eq!(late, 0, "seed {seed} k {k}: asked after the end");
@@ -191,7 +203,9 @@ fn drifted(case: &Case, seed: u64) -> Case {
         upper: case.upper.clone(),
         c: near(&case.c, 1e-3),
         d: near(&case.d, 1e-3),
+        price: Vec::new(),
     }
+    .priced()
 }
 
 fn far(a: &[f64], b: &[f64]) -> f64 {
@@ -238,5 +252,111 @@ fn a_bad_guess_changes_no_answer() {
         let told = solver.solve_warm(&case.problem(), &guess, &mut v, &mut || false);
         assert_eq!((plain.status, told.status), (Status::Optimal, Status::Optimal), "seed {seed}: {told:?}");
         assert!(far(&u, &v) < 1e-5, "seed {seed}: {:e} N apart, {told:?}", far(&u, &v));
+    }
+}
+
+/// Metres that are missing of each row.
+fn missing(case: &Case, u: &[f64]) -> Vec<f64> {
+    let n = u.len();
+    let value = |r: usize| case.d[r] + (0..n).map(|j| case.c[r * n + j] * u[j]).sum::<f64>();
+    (0..case.d.len()).map(|r| (-value(r)).max(0.0)).collect()
+}
+
+#[test]
+fn rows_that_hardly_move_never_sell_one_that_can_be_kept() {
+    for seed in 0..40 {
+        for hopeless in 1..4 {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+            let mut case = random(24, 0, seed);
+            // Standing still is best, with a millimetre of room to something that moves by a millimetre per newton.
+            let still = vec![20.0; 24];
+            case.b = (0..24).map(|i| -(0..24).map(|j| case.a[i * 24 + j] * still[j]).sum::<f64>()).collect();
+            let way: Vec<f64> = (0..24).map(|_| rng.random_range(-1.0..1.0)).collect();
+            let at = |row: &[f64]| row.iter().map(|c| 20.0 * c).sum::<f64>();
+            case.c = way.iter().map(|w| 1e-3 * w).collect();
+            case.d = vec![1e-3 - at(&case.c)];
+            // Beside it what lacks 3 mm and moves by 0.1 um per newton, about the other way.
+            for _ in 0..hopeless {
+                let row: Vec<f64> = way.iter().map(|w| -1e-7 * (w + rng.random_range(-0.3..0.3))).collect();
+                case.d.push(-3e-3 - at(&row));
+                case.c.extend(row);
+            }
+            let case = case.priced();
+            let mut u = still.clone();
+            let report = Solver::new(24, 4).solve(&case.problem(), &mut u, &mut || false);
+            assert_eq!(report.status, Status::Relaxed, "seed {seed}, {hopeless}: {report:?}");
+            let missing = missing(&case, &u);
+            assert!(missing[0] < 1e-8, "seed {seed}, {hopeless}: {missing:?}");
+        }
+    }
+}
+
+#[test]
+fn of_rows_that_conflict_as_few_metres_as_can_be_are_missing() {
+    // u_0 >= 100 and u_0 <= 50 together, one of which moves a hundred times farther per newton.
+    for (far, near, want) in [(1e-3, 1e-5, 100.0), (1e-5, 1e-3, 50.0)] {
+        let mut case = random(6, 0, 3);
+        case.c = [vec![far, 0.0, 0.0, 0.0, 0.0, 0.0], vec![-near, 0.0, 0.0, 0.0, 0.0, 0.0]].concat();
+        case.d = vec![-100.0 * far, 50.0 * near];
+        let case = case.priced();
+        let mut u = vec![10.0; 6];
+        let report = Solver::new(6, 2).solve(&case.problem(), &mut u, &mut || false);
+        assert_eq!(report.status, Status::Relaxed, "{report:?}");
+        assert!((u[0] - want).abs() < 1e-3, "{u:?} for {want}");
+        // A cheap row gives way instead, however far it moves.
+        let price =
+            if far > near { [case.price[0] * 1e-4, case.price[1]] } else { [case.price[0], case.price[1] * 1e-4] };
+        let told = Problem { price: &price, ..case.problem() };
+        Solver::new(6, 2).solve(&told, &mut u, &mut || false);
+        assert!((u[0] - (150.0 - want)).abs() < 1e-3, "{u:?} for {}", 150.0 - want);
+    }
+}
+
+/// Twelve rows with a common solution, three more that contradict three of them.
+fn conflicting(seed: u64) -> Case {
+    let mut case = random(24, 12, seed);
+    for row in 0..3 {
+        let opposite: Vec<f64> = case.c[row * 24..(row + 1) * 24].iter().map(|c| -c).collect();
+        case.c.extend(opposite);
+        case.d.push(-case.d[row] - 0.01);
+    }
+    case.priced()
+}
+
+#[test]
+fn rounding_of_large_multipliers_keeps_no_conflict_from_its_end() {
+    let (mut most, mut all) = (0, 0);
+    for seed in 0..60 {
+        let case = conflicting(seed);
+        let mut u = vec![110.0; 24];
+        let report = Solver::new(24, 15).solve(&case.problem(), &mut u, &mut || false);
+        assert_eq!(report.status, Status::Relaxed, "seed {seed}: {report:?}");
+        assert!(report.kkt_residual < 1e-9, "seed {seed}: {report:?}");
+        // Each of the pairs lacks its centimetre at least.
+        assert!(missing(&case, &u).iter().sum::<f64>() > 0.03 - 1e-6, "seed {seed}");
+        (most, all) = (most.max(report.iterations), all + report.iterations);
+    }
+    // 93 to 267 each, 187 in the middle, while rounding counted as a residual.
+    assert!(most <= 160 && all <= 60 * 100, "{most} iterations at most, {all} in all");
+}
+
+#[test]
+fn more_violated_rows_than_can_work_are_no_optimum_and_the_answer_is_no_worse_than_the_start() {
+    for seed in 0..10 {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut case = random(24, 60, seed);
+        // No tensions of the box satisfy any of them.
+        for row in 0..60 {
+            let most: f64 = case.c[row * 24..(row + 1) * 24].iter().map(|c| 220.0 * c.max(0.0)).sum();
+            case.d[row] = -most - 0.01;
+        }
+        let case = case.priced();
+        let start: Vec<f64> = (0..24).map(|_| rng.random_range(0.0..220.0)).collect();
+        let mut u = start.clone();
+        let report = Solver::new(24, 60).solve(&case.problem(), &mut u, &mut || false);
+        assert_eq!((report.status, report.rows), (Status::Overfull, Solver::WORKING_MAX), "seed {seed}: {report:?}");
+        assert!(!report.status.is_optimal());
+        let (before, after) = (penalized(&case.problem(), &start), penalized(&case.problem(), &u));
+        assert!(after <= before, "seed {seed}: {after} from {before}");
     }
 }

@@ -64,7 +64,7 @@ pub fn tip_start(
         }
         stepper.affine_map_into(arm, &mut map);
         quadratic.build(arm, state, Rates::STATIC, &map, &goal, 1.0, &still, &still);
-        let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[] };
+        let problem = Problem { a: &quadratic.a, b: &quadratic.b, lower, upper, c: &[], d: &[], price: &[] };
         wanted.copy_from_slice(&u);
         solver.solve(&problem, &mut wanted, &mut || false);
         dx.copy_from_slice(stepper.correction_for(arm, &wanted));

@@ -140,9 +140,9 @@ impl Swarm {
         &self.answer
     }
 
-    /// Searches. `seeds`: u_{k-1} first, then u^(j), then any other candidate. Where `strict` is given, a particle
-    /// whose worst violation exceeds it costs infinity: the soft penalty may not undercut a seed that is feasible.
-    /// Does not allocate.
+    /// Searches. `seeds`: u_{k-1} first, then u^(j), then any other candidate. `strict` bounds the violation (m) of each
+    /// pair, or is empty: a particle that exceeds any of the bounds costs infinity, so that the soft penalty may not
+    /// undercut a seed that keeps them. Does not allocate.
     ///
     /// # Panics
     /// If there are more particles or seeds than the swarm has room for.
@@ -155,7 +155,7 @@ impl Swarm {
         lower: &[f64],
         upper: &[f64],
         seeds: &[&[f64]],
-        strict: Option<f64>,
+        strict: &[f64],
         rng: &mut Xoshiro256PlusPlus,
         stop: &mut dyn FnMut() -> bool,
     ) -> Report {
@@ -244,7 +244,7 @@ impl Swarm {
         quadratic: &Quadratic,
         pairs: &Pairs<'_>,
         nu: f64,
-        strict: Option<f64>,
+        strict: &[f64],
         report: &mut Report,
     ) {
         let m = seeds.len();
@@ -306,7 +306,7 @@ impl Swarm {
     }
 
     /// Costs (28) of all particles; returns how many are feasible.
-    fn evaluate(&mut self, m: usize, quadratic: &Quadratic, pairs: &Pairs<'_>, nu: f64, strict: Option<f64>) -> usize {
+    fn evaluate(&mut self, m: usize, quadratic: &Quadratic, pairs: &Pairs<'_>, nu: f64, strict: &[f64]) -> usize {
         let stride = stride(m);
         self.infeasible[..m].fill(false);
         Arch::new().dispatch(Evaluation {
@@ -438,7 +438,7 @@ struct Evaluation<'a> {
     quadratic: &'a Quadratic,
     pairs: &'a Pairs<'a>,
     nu: f64,
-    strict: Option<f64>,
+    strict: &'a [f64],
     /// `stride` entries, as `infeasible`.
     cost: &'a mut [f64],
     infeasible: &'a mut [bool],
@@ -477,10 +477,11 @@ impl WithSimd for Evaluation<'_> {
             }
             let (x, yz) = place[..3 * stride].split_at_mut(stride);
             let (y, z) = yz.split_at(stride);
+            let limit = strict.get(r).copied().unwrap_or(f64::INFINITY);
             let mut judge = |j: usize, d: f64| {
                 cost[j] += nu * penalty(d + pairs.clearance, pairs.clearance, pairs.length[r]).0;
                 infeasible[j] |= d < -FEASIBLE_M;
-                if strict.is_some_and(|limit| -d > limit) {
+                if -d > limit {
                     cost[j] = f64::INFINITY;
                 }
             };

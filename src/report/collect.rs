@@ -4,7 +4,7 @@ use super::summary::{
     Approach, Count, Loop, Newton, ObstacleSummary, Percentiles, Saturation, Summary, Swarm, Tensions, Times, TipError,
 };
 use crate::config::BodyModel;
-use crate::planner::{Branch, Goal};
+use crate::planner::{Branch, Goal, Report};
 use hdrhistogram::Histogram;
 use std::collections::BTreeMap;
 
@@ -43,6 +43,8 @@ pub struct Collector {
     tension_max: f64,
     ticks: u64,
     not_converged: u64,
+    /// Steps whose distances were relaxed, and that left pairs out.
+    short: Option<(u64, u64)>,
     iterations: [(u64, u64, u64); 2],
     along: Vec<Track>,
     points: Vec<Track>,
@@ -107,6 +109,7 @@ impl Collector {
             tension_max,
             ticks: 0,
             not_converged: 0,
+            short: None,
             iterations: [(0, 0, 0); 2],
             along: vec![Track::new(); obstacles.len()],
             points: vec![Track::new(); obstacles.len()],
@@ -182,6 +185,13 @@ impl Collector {
         }
     }
 
+    /// Adds what a step's report says of its distances.
+    pub fn add_report(&mut self, report: &Report) {
+        let (relaxed, truncated) = self.short.get_or_insert((0, 0));
+        *relaxed += u64::from(report.relaxed);
+        *truncated += u64::from(report.truncated);
+    }
+
     /// Deadlines missed so far, by ticks left out and by ticks whose torques left after their period; marks the run as a
     /// closed loop.
     pub fn set_missed(&mut self, left_out: u64, overran: u64) {
@@ -225,6 +235,8 @@ impl Collector {
             lookahead_s,
             ticks: self.ticks,
             not_converged: (!fixed_iterations).then_some(self.not_converged),
+            relaxed: self.short.map(|short| short.0),
+            truncated: self.short.map(|short| short.1),
             newton: Newton {
                 safe: count(self.iterations[0]).filter(|_| !fixed_iterations),
                 warning: count(self.iterations[1]).filter(|_| !fixed_iterations),

@@ -22,6 +22,12 @@ pub struct Summary {
     /// Steps whose Newton iteration did not converge within its limit; null where a fixed number of iterations is the
     /// rule and convergence is not asked for.
     pub not_converged: Option<u64>,
+    /// Steps in which some required distance could not be kept and was asked for as far as possible; null in closed loop.
+    #[serde(default)]
+    pub relaxed: Option<u64>,
+    /// Steps that left out pairs of arm and obstacle which may matter, for want of room; null in closed loop.
+    #[serde(default)]
+    pub truncated: Option<u64>,
     /// Newton iterations per step; null where a fixed number of them is the rule.
     pub newton: Newton,
     /// Distances, one entry per obstacle.

@@ -25,6 +25,12 @@ pub fn summary_table(s: &Summary) -> String {
         |p: Option<Percentiles>| p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max));
     row("steps", format!("{} of {} s, lookahead {} s, seed {}", s.ticks, s.period_s, s.lookahead_s, s.seed));
     row("steps not converged", s.not_converged.map_or("-".into(), |n| n.to_string()));
+    if let Some(n) = s.relaxed.filter(|n| *n > 0) {
+        row("steps with distances relaxed", n.to_string());
+    }
+    if let Some(n) = s.truncated.filter(|n| *n > 0) {
+        row("steps with pairs left out", n.to_string());
+    }
     row("Newton iterations, safe", count(s.newton.safe));
     row("Newton iterations, warning", count(s.newton.warning));
     for o in &s.obstacles {

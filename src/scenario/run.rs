@@ -3,6 +3,7 @@
 use super::goals::{Course, CourseError};
 use crate::collision::{Body, BodyGeometry, ObstacleSet};
 use crate::config::{ScenarioConfig, WarningBranch};
+use crate::integrator::{Scheme, Stepper};
 use crate::model::{Outputs, State};
 use crate::planner::{Deadline, Goal, Inputs, Planner, Report, Status};
 use crate::report::{Collector, Tick, tip_error};
@@ -39,7 +40,11 @@ pub struct Step {
 pub struct Run {
     course: Course,
     planner: Planner,
+    /// The model as the plant, where a period is shorter than the lookahead.
+    scheme: Scheme,
+    stepper: Stepper,
     state: State,
+    next: State,
     u: Vec<f64>,
     now: ObstacleSet,
     ahead: ObstacleSet,
@@ -53,6 +58,9 @@ pub struct Run {
     total: u64,
     seed: u64,
 }
+
+/// Most Newton iterations of the model as the plant; a few do.
+const PLANT_ITERATIONS_MAX: usize = 30;
 
 /// Time of one step on the caller's clock (ns); without a budget none is ever used.
 struct Elapsed<'a> {
@@ -78,10 +86,8 @@ impl Run {
         let (state, u) = course.start(arm)?;
         let now = course.obstacles()?;
         let ahead = course.obstacles()?;
-        let mut planner_config = scenario.planner.clone();
-        // The paper's setting: the model is the arm, one step per lookahead.
-        planner_config.period_s = planner_config.lookahead_s;
-        let planner = Planner::new(arm, &planner_config, scenario.weight_tension, &scenario.weight_tension_change);
+        let planner_config = &scenario.planner;
+        let planner = Planner::new(arm, planner_config, scenario.weight_tension, &scenario.weight_tension_change);
         let n = arm.node_count();
         Ok(Self {
             measure: Body::with_capacity(
@@ -90,6 +96,9 @@ impl Run {
                 planner_config.body_radius_m,
                 1,
             ),
+            scheme: Scheme::new(arm.rho_inf),
+            stepper: Stepper::new(&planner.arm),
+            next: state.clone(),
             planner,
             state,
             u,
@@ -99,7 +108,7 @@ impl Run {
             at_points: vec![0.0; scenario.obstacles.len()],
             rng: Xoshiro256PlusPlus::seed_from_u64(seed),
             steps: 0,
-            total: (scenario.duration_s / planner_config.lookahead_s).round() as u64,
+            total: (scenario.duration_s / planner_config.period_s).round() as u64,
             seed,
             now,
             ahead,
@@ -162,48 +171,63 @@ impl Run {
 
     /// What `plan` would give for the next step with another planner, without moving on: `(cost, report)`.
     pub fn probe(&mut self, planner: &mut Planner) -> Report {
-        let t = self.next_time();
-        self.course.place(&mut self.now, t - self.planner.config().lookahead_s);
-        self.course.place(&mut self.ahead, t);
+        let (_, goal) = self.look_ahead();
         let inputs = Inputs {
             state: &self.state,
             u_previous: &self.u,
             disturbance: &[],
-            goal: self.course.goal(t),
+            goal: self.course.goal(goal),
             now: &self.now,
             ahead: &self.ahead,
         };
         planner.plan(&inputs, &mut self.rng.clone(), &mut || false)
     }
 
-    fn next_time(&self) -> f64 {
-        (self.steps + 1) as f64 * self.planner.config().lookahead_s
+    /// Places the obstacles now and at the end of the lookahead; gives the time of the next step's end and that of its
+    /// goal (s).
+    fn look_ahead(&mut self) -> (f64, f64) {
+        let config = self.planner.config();
+        let reached = (self.steps + 1) as f64 * config.period_s;
+        // Exactly the step's end where it is as long as the lookahead.
+        let ahead = reached + (config.lookahead_s - config.period_s);
+        let goal = ahead + config.lead_s.unwrap_or(0.0);
+        self.course.place(&mut self.now, reached - config.period_s);
+        self.course.place(&mut self.ahead, ahead);
+        (reached, goal)
     }
 
-    /// Plans and takes one step; `clock` gives nanoseconds and only measures (and ends a step where the scenario sets a
+    /// Plans over a lookahead and takes one step of a period; `clock` gives nanoseconds and only measures (and ends a step where the scenario sets a
     /// budget).
     ///
     /// # Errors
     /// The motion diverged.
     pub fn step(&mut self, clock: &mut dyn FnMut() -> u64) -> Result<Step, RunError> {
-        let t = self.next_time();
-        let eta = self.planner.config().lookahead_s;
-        self.course.place(&mut self.now, t - eta);
-        self.course.place(&mut self.ahead, t);
+        let (t, goal) = self.look_ahead();
         let begin = clock();
         let budget_ns = self.planner.config().budget_s.map(|b| b * 1e9);
         let inputs = Inputs {
             state: &self.state,
             u_previous: &self.u,
             disturbance: &[],
-            goal: self.course.goal(t),
+            goal: self.course.goal(goal),
             now: &self.now,
             ahead: &self.ahead,
         };
         let report = self.planner.plan(&inputs, &mut self.rng, &mut Elapsed { clock, begin, budget_ns });
         let plan_ns = clock() - begin;
         self.u.copy_from_slice(self.planner.tensions());
-        self.state.copy_from(self.planner.planned());
+        let (period_s, lookahead_s) = (self.planner.config().period_s, self.planner.config().lookahead_s);
+        if period_s == lookahead_s {
+            // The paper's setting: what is planned is what happens.
+            self.state.copy_from(self.planner.planned());
+        } else {
+            let (arm, scheme) = (&self.planner.arm, &self.scheme);
+            self.stepper
+                .step(arm, scheme, period_s, &self.state, &self.u, PLANT_ITERATIONS_MAX, &mut self.next)
+                .map_err(|_| RunError::Diverged(t))?;
+            self.state.copy_from(&self.next);
+            self.course.place(&mut self.ahead, t);
+        }
         self.steps += 1;
         if !self.state.is_finite() || report.status == Status::Singular {
             return Err(RunError::Diverged(t));
@@ -226,6 +250,7 @@ impl Run {
         } else {
             None
         };
+        collector.add_report(&step.report);
         let converged = step.report.status == Status::Converged;
         collector.add(&Tick {
             time_s: step.time_s,

@@ -44,9 +44,9 @@ pub fn sweep(
         let mut collector = run.collector();
         let (mut ratio_sum, mut ratio_max, mut judged) = (0.0, 0.0f64, 0u64);
         for k in 1..=run.total() {
-            let t = k as f64 * varied.planner.lookahead_s;
+            let t = k as f64 * varied.planner.period_s;
             // Half a step of slack: window ends are multiples of the step only up to rounding.
-            let slack = 0.5 * varied.planner.lookahead_s;
+            let slack = 0.5 * varied.planner.period_s;
             let inside = variation.window_s.is_none_or(|[from, to]| t > from - slack && t < to + slack);
             run.set_warning(if inside { own_branch } else { WarningBranch::Complementarity });
             let optimum = (inside && variation.window_s.is_some()).then(|| run.probe(&mut exact).cost);
@@ -65,7 +65,7 @@ pub fn sweep(
         let planner = &varied.planner;
         rows.push(SweepRow {
             label: variation.label.clone(),
-            summary: collector.summary(&varied.name, seed, planner.lookahead_s, planner.lookahead_s, false),
+            summary: collector.summary(&varied.name, seed, planner.period_s, planner.lookahead_s, false),
             cost_ratio_mean: (judged > 0).then(|| ratio_sum / judged as f64),
             cost_ratio_max: (judged > 0).then_some(ratio_max),
         });

@@ -484,6 +484,24 @@ fn a_period_that_does_not_divide_the_lookahead_is_refused() {
 }
 
 #[test]
+fn a_swarm_without_particles_is_refused() {
+    let (_, controller) = files(&["controller.toml"]).remove(0);
+    let from = controller.find("particles_normal = 15").unwrap();
+    let mut text = controller.clone();
+    text.replace_range(
+        from..from + "particles_normal = 15".len(),
+        "particles_normal = 0\nchaotic_min = 0\nchaotic_max = 0",
+    );
+    let text = text.replace("particles_uniform = 5", "particles_uniform = 0");
+    let mut texts = files(&["arm.toml", "drives.toml"]);
+    texts.push(("controller.toml".into(), text));
+    expect(
+        Config::parse(texts),
+        &["controller.toml:", "`planner.swarm.particles_uniform` = 0", "permitted: 1 to 10000"],
+    );
+}
+
+#[test]
 fn weights_must_fit_the_segments() {
     refuse(
         "controller.toml",

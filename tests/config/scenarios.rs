@@ -198,11 +198,38 @@ position_m = [2, 0, 0]
         ScenarioConfig::parse("all.toml", &flat),
         &["all.toml:40:", "`obstacles[3].points_m`", "all points lie in one plane"],
     );
+    let pointed = |count: usize| {
+        let points: Vec<_> = (0..count).map(|k| format!("[{}, {}, {}]", k % 7, k % 11, k % 13)).collect();
+        let hull = "[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]";
+        ScenarioConfig::parse("all.toml", &text.replace(hull, &format!("[{}]", points.join(", "))))
+    };
+    // What a run can set up is what the reader takes.
+    let most = pointed(256).map_err(|error| error.report()).unwrap();
+    let ShapeConfig::Hull { points_m } = &most.obstacles[3].shape else { panic!("{:?}", most.obstacles[3].shape) };
+    assert!(sinew::collision::Shape::new(&ShapeConfig::Hull { points_m: points_m.clone() }).is_ok());
+    expect(pointed(257), &["all.toml:40:", "`obstacles[3].points_m`", "4 to 256"]);
     let falling = text.replace("time_s = 5", "time_s = 0");
     expect(
         ScenarioConfig::parse("all.toml", &falling),
         &["all.toml:12:", "`task.path.waypoints[1].time_s` = 0", "permitted: > 0 s"],
     );
+}
+
+#[test]
+fn a_swarm_without_particles_is_refused() {
+    let text = SCENARIOS[0].1;
+    let at = text
+        .find("[planner.swarm]")
+        .map_or(text.len(), |at| text[at + 1..].find("\n[").map_or(text.len(), |n| at + 1 + n));
+    let cut = text.find("[planner.swarm]").map_or(text.to_owned(), |from| format!("{}{}", &text[..from], &text[at..]));
+    let with = |normal: usize, uniform: usize| {
+        let swarm =
+            format!("particles_normal = {normal}\nparticles_uniform = {uniform}\nchaotic_min = 0\nchaotic_max = 0\n");
+        ScenarioConfig::parse("mine.toml", &format!("{cut}\n[planner.swarm]\n{swarm}"))
+    };
+    let refused = ["mine.toml:", "`planner.swarm.particles_uniform` = 0", "no particles", "permitted: 1 to 10000"];
+    expect(with(0, 0), &refused);
+    assert!(with(1, 0).is_ok() && with(0, 1).is_ok());
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What the planner promises whatever it is asked: optimal where it says so, bounded always, repeatable, never worse
 //! than its seeds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a test may panic and print
+mod base;
 mod stops;
 #[path = "../support/mod.rs"]
 mod support;
@@ -406,6 +407,80 @@ fn a_state_that_is_not_finite_holds_the_last_tensions_and_leaves_no_trace() {
             let again = run(&mut planner, &inputs(&bench, goal, &balls), 4);
             assert_eq!(again.cost.to_bits(), fresh.cost.to_bits());
             assert_eq!(planner.tensions(), want, "{branch:?} {part}");
+        }
+    }
+}
+
+#[test]
+fn an_iteration_that_leaves_the_arm_holds_the_last_tensions_and_says_so() {
+    let mut bench = Bench::paper();
+    let balls = bench.balls(0.028);
+    let rest = bench.state.clone();
+    for branch in BRANCHES {
+        let mut refused = 0;
+        for speed in [1e2, 1e3, 1e4, 1e5] {
+            bench.state = rest.clone();
+            bench.state.qd.iter_mut().enumerate().for_each(|(k, v)| *v = speed * (k as f64).sin());
+            let mut planner = bench.planner(&settings(branch));
+            let report = run(&mut planner, &inputs(&bench, bench.goal(Vector3::zeros()), &balls), 3);
+            assert!(report.correction <= 1e3 || report.status == Status::Singular, "{branch:?} {speed}: {report:?}");
+            if report.status == Status::Singular {
+                assert_eq!(planner.tensions(), bench.u, "{branch:?} {speed}: {report:?}");
+                refused += usize::from(report.correction.is_finite());
+            }
+            // No trace is left for a step that can be planned.
+            bench.state = rest.clone();
+            let after = run(&mut planner, &inputs(&bench, bench.goal(Vector3::zeros()), &balls), 3);
+            assert_ne!(after.status, Status::Singular, "{branch:?} {speed}: {after:?}");
+        }
+        assert!(refused > 0, "{branch:?}: speeds that no arm has");
+    }
+}
+
+#[test]
+fn a_safe_plan_that_ends_near_an_obstacle_is_none_yet_and_takes_no_time_that_is_over() {
+    let bench = Bench::paper();
+    // Outside the warning distance by a millimetre, and the goal is beyond it.
+    let balls = bench.balls(0.02 + 0.005 + 0.01 + 0.001);
+    let goal = bench.goal(toward(&bench, &balls) * 0.05);
+    let config = |iterations: usize| PlannerConfig {
+        newton_iterations_max: iterations,
+        newton_tolerance: 1.0,
+        barrier: None,
+        ..settings(WarningBranch::Seeded)
+    };
+    // With time the second iteration plans again, with regard to the ball.
+    let two = run(&mut bench.planner(&config(2)), &inputs(&bench, goal, &balls), 1);
+    assert_eq!((two.branch, two.iterations, two.status), (Branch::Warning, 2, Status::Converged), "{two:?}");
+    // Without the safe plan goes out, and is reported as what it is.
+    let one = run(&mut bench.planner(&config(1)), &inputs(&bench, goal, &balls), 1);
+    assert_eq!((one.branch, one.iterations, one.status), (Branch::Safe, 1, Status::IterationLimit), "{one:?}");
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+    let late = bench.planner(&config(10)).plan(&inputs(&bench, goal, &balls), &mut rng, &mut || true);
+    assert_eq!((late.branch, late.iterations, late.status), (Branch::Safe, 1, Status::BudgetSpent), "{late:?}");
+}
+
+#[test]
+fn pairs_that_find_no_room_are_told_and_such_a_plan_is_not_optimal() {
+    let bench = Bench::paper();
+    let mut many = ObstacleSet::new();
+    for k in 0..60 {
+        let (r, p) = bench.arm.pose(&bench.state.q, 1 + k % bench.arm.node_count());
+        let side = sinew::math::quaternion::rotation(&p).column(1 + k % 2) * if k % 4 < 2 { 1.0 } else { -1.0 };
+        let ball = Shape::new(&ShapeConfig::Ball { radius_m: 0.05 }).unwrap();
+        let at = pose((r + side * 0.1).into(), [1.0, 0.0, 0.0, 0.0]).unwrap();
+        many.insert(Obstacle::new(k as u64, ball, &at).unwrap()).unwrap();
+    }
+    for (what, obstacles, truncated) in [("many", many, true), ("two", bench.balls(0.028), false)] {
+        for branch in BRANCHES {
+            let mut planner = bench.planner(&settings(branch));
+            let report = run(&mut planner, &inputs(&bench, bench.goal(Vector3::zeros()), &obstacles), 1);
+            assert_eq!(report.branch, Branch::Warning);
+            assert_eq!(report.truncated, truncated, "{what} {branch:?}: {report:?}");
+            assert!(
+                !truncated || (!report.optimal && report.status != Status::Converged),
+                "{what} {branch:?}: {report:?}"
+            );
         }
     }
 }

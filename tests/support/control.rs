@@ -157,6 +157,8 @@ impl Plan for Told {
             kkt_residual: 0.0,
             optimal: true,
             relaxed: false,
+            hopeless: 0,
+            truncated: false,
             solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,

@@ -22,6 +22,10 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Most pairs of body and obstacle that one step plans with; the nearest are kept.
 pub const PAIRS_MAX: usize = 256;
+/// A pair of a swarm's particle may miss what the complementarity solution misses and this (m): rounding.
+const STRICT_M: f64 = 1e-9;
+/// A correction of q beyond this (m, 1) ends the step: the iteration has left the arm. NaN does, too.
+const DIVERGED: f64 = 1e3;
 /// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
 const REACH_M: f64 = 0.05;
 
@@ -63,8 +67,9 @@ pub enum Status {
     IterationLimit,
     /// The time budget ended the step; the best so far goes out.
     BudgetSpent,
-    /// State, goal or last tensions are not finite, or the tangent is singular: the last tensions are kept, those
-    /// that are not numbers at their lower bound. [`Planner::planned`] is then no plan.
+    /// State, goal or last tensions are not finite, the tangent is singular, or the iteration diverges (a correction beyond
+    /// 1000, or a last one that moves the nodes by an arm's length each and is not half of the one before): the last
+    /// tensions are kept, those that are not numbers at their lower bound. [`Planner::planned`] is then no plan.
     Singular,
 }
 
@@ -85,8 +90,16 @@ pub struct Report {
     /// residual small), or the swarm searched. False where the problem's iteration limit or the budget came first, and
     /// where a swarm without seeds found nothing as good as one, so that standing still means nothing.
     pub optimal: bool,
-    /// True where the distance rows had no common solution and were relaxed.
+    /// True where the distance rows of the last iteration had no common solution and were relaxed, those among them that
+    /// tensions move at all.
     pub relaxed: bool,
+    /// Pairs of the last iteration that no tensions of the arm bring to the required distance. They are asked for what is
+    /// possible; the rest of the plan is not given up for them.
+    pub hopeless: usize,
+    /// True where the last iteration left pairs out that may matter: more were within reach than [`PAIRS_MAX`] (the nearest
+    /// were kept), or more were violated than the complementarity problem works with at once
+    /// ([`Solver::WORKING_MAX`]). Such a plan is never [`Report::optimal`].
+    pub truncated: bool,
     /// Newton iterations of the complementarity problems of the whole step.
     pub solver_iterations: usize,
     /// Swarm sweeps of the whole step.
@@ -95,7 +108,8 @@ pub struct Report {
     pub evaluations: usize,
     /// Cost (15a) at the planned state.
     pub cost: f64,
-    /// Smallest surface distance of the planned state less the inflation (m); infinite without obstacles.
+    /// Smallest surface distance less the inflation (m) of the state that was looked at last, mostly the iterate before
+    /// the last correction; the planned state itself is that much off. Infinite without obstacles.
     pub distance_min: f64,
 }
 
@@ -118,6 +132,9 @@ pub struct Planner {
     box_low: Vec<f64>,
     box_high: Vec<f64>,
     rate_max: f64,
+    /// Norm of a correction that moves every node by the arm's length (m): a last one beyond it is no way to a solution
+    /// unless it is half of the one before. Two iterations of the paper's tip example leave 0.09, the norm here is 12.
+    far: f64,
     low: Vec<f64>,
     high: Vec<f64>,
     /// u_{k-1} inside the box.
@@ -125,10 +142,11 @@ pub struct Planner {
     u: Vec<f64>,
     effective: Vec<f64>,
     candidate: Vec<f64>,
-    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bound of violation.
+    /// u^(j) as the last swarm had it among its seeds, how many seeds it had, and its bounds of violation, per pair; empty
+    /// for none.
     iterate: Vec<f64>,
     seeds: usize,
-    strict: Option<f64>,
+    strict: Vec<f64>,
     next: State,
     frames: Frames,
     frames_now: Frames,
@@ -156,6 +174,7 @@ impl Planner {
         let body =
             Body::with_capacity(&BodyGeometry::from_arm(arm_config), config.body, config.body_radius_m, PAIRS_MAX);
         let frames = || Frames { r: vec![Vector3::zeros(); n + 1], t: vec![Vector3::zeros(); n + 1] };
+        let length_m: f64 = arm_config.segments.iter().map(|s| s.length_m + s.connector_length_m).sum();
         let pace = config.lookahead_s / config.period_s;
         Self {
             config: config.clone(),
@@ -172,6 +191,7 @@ impl Planner {
             box_low: vec![arm_config.tension_n_min; nc],
             box_high: vec![arm_config.tension_n_max; nc],
             rate_max: arm_config.tension_rate_npsmax * config.period_s,
+            far: (n as f64).sqrt() * length_m,
             low: vec![0.0; nc],
             high: vec![0.0; nc],
             previous: vec![0.0; nc],
@@ -180,7 +200,7 @@ impl Planner {
             candidate: vec![0.0; nc],
             iterate: vec![0.0; nc],
             seeds: 0,
-            strict: None,
+            strict: Vec::with_capacity(PAIRS_MAX),
             next: State::at_rest(arm.straight()),
             frames: frames(),
             frames_now: frames(),
@@ -241,17 +261,12 @@ impl Planner {
 
     /// Cost (28) of tensions in the last swarm's problem.
     fn swarm_cost(&self, u: &[f64], obstacles: &ObstacleSet) -> f64 {
-        let nc = u.len();
         let mut cost = self.quadratic.cost(u);
         for (r, row) in self.pairs.rows.iter().enumerate() {
-            let at = Vector3::from_fn(|c, _| {
-                let slope = &self.pairs.slope[(3 * r + c) * nc..(3 * r + c + 1) * nc];
-                self.pairs.origin[3 * r + c] + slope.iter().zip(u).map(|(s, u)| s * u).sum::<f64>()
-            });
-            let d = obstacles.moved_distance(row, &at) - self.pairs.required[r];
+            let d = obstacles.moved_distance(row, &self.pairs.position(r, u)) - self.pairs.required[r];
             let clearance = self.config.clearance_m;
             cost += self.config.swarm.penalty * penalty(d + clearance, clearance, self.pairs.length[r]).0;
-            if self.strict.is_some_and(|limit| -d > limit) {
+            if self.strict.get(r).is_some_and(|limit| -d > *limit) {
                 return f64::INFINITY;
             }
         }
@@ -284,6 +299,8 @@ impl Planner {
             kkt_residual: 0.0,
             optimal: false,
             relaxed: false,
+            hopeless: 0,
+            truncated: false,
             solver_iterations: 0,
             sweeps: 0,
             evaluations: 0,
@@ -291,6 +308,7 @@ impl Planner {
             distance_min: f64::INFINITY,
         };
         self.seeds = 0;
+        let (mut warning, mut before) = (false, f64::INFINITY);
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
         // Where the last tensions are unknown there is nothing to plan a change from.
@@ -299,8 +317,9 @@ impl Planner {
         }
         while report.status != Status::Singular && report.iterations < self.config.newton_iterations_max {
             shares.begin(report.iterations, self.config.newton_iterations_max);
+            // A step that once was in the warning subspace stays there.
             if obstacles {
-                self.watch(&next, inputs, &mut report);
+                warning |= self.watch(&next, inputs, &mut report);
             }
             if self.linearize(&next, inputs, rates).is_err() {
                 report.status = Status::Singular;
@@ -323,6 +342,7 @@ impl Planner {
             }
             shares.prepared();
             let stop: &mut dyn FnMut() -> bool = &mut || shares.iteration_is_over();
+            report.branch = if warning { Branch::Warning } else { Branch::Safe };
             match report.branch {
                 Branch::Safe => self.solve_safe(stop, &mut report),
                 Branch::Warning => self.solve_warning(&next, inputs, rng, stop, &mut report),
@@ -330,22 +350,23 @@ impl Planner {
             for i in 0..self.u.len() {
                 self.effective[i] = self.u[i] + inputs.disturbance.get(i).copied().unwrap_or(0.0);
             }
+            before = report.correction;
             report.correction = self.stepper.advance(&self.arm, &self.effective, rates, &mut next);
             report.iterations += 1;
-            if !report.correction.is_finite() {
+            if report.correction.is_nan() || report.correction > DIVERGED {
                 report.status = Status::Singular;
                 break;
             }
             if report.correction < self.config.newton_tolerance {
                 // A safe plan may have ended inside the warning distance: then it is not yet a plan.
-                if obstacles && report.branch == Branch::Safe {
-                    self.watch(&next, inputs, &mut report);
-                    if report.branch == Branch::Warning {
-                        continue;
-                    }
+                if obstacles && !warning {
+                    warning = self.watch(&next, inputs, &mut report);
                 }
-                // A problem that ran into its limit goes on from where it is; a swarm that found nothing stands still.
-                if report.optimal || self.config.warning == WarningBranch::StandardSwarm {
+                let planned = warning == (report.branch == Branch::Warning);
+                // A problem that ran into its limit goes on from where it is; a swarm that found nothing stands still, and
+                // so does what has no room for its pairs.
+                let stands = report.truncated || self.config.warning == WarningBranch::StandardSwarm;
+                if planned && (report.optimal || stands) {
                     if report.optimal {
                         report.status = Status::Converged;
                     }
@@ -356,6 +377,9 @@ impl Planner {
                 report.status = Status::BudgetSpent;
                 break;
             }
+        }
+        if report.iterations > 1 && report.correction > self.far && report.correction > 0.5 * before {
+            report.status = Status::Singular;
         }
         if report.status == Status::Singular {
             // Nothing that was computed can be trusted: hold what is known to be bounded.
@@ -369,9 +393,8 @@ impl Planner {
         report
     }
 
-    /// Finds the pairs within reach of the iterate and decides on the subspace; a step that once was in the warning
-    /// subspace stays there.
-    fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) {
+    /// Finds the pairs within reach of the iterate and decides on the subspace: true for the warning subspace.
+    fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) -> bool {
         let c = &self.config;
         self.arm.frames_into(&next.q, &mut self.frames.r, &mut self.frames.t);
         let reach = c.clearance_m + c.warning_margin_m() + c.warning_hysteresis_m + REACH_M;
@@ -379,9 +402,8 @@ impl Planner {
         report.distance_min = found.minimum;
         self.pairs.rows.clear();
         self.pairs.rows.extend_from_slice(found.rows);
-        if self.warning.update(found.minimum) {
-            report.branch = Branch::Warning;
-        }
+        self.pairs.overflow = found.overflow > 0;
+        self.warning.update(found.minimum)
     }
 
     fn linearize(&mut self, next: &State, inputs: &Inputs<'_>, rates: crate::model::Rates) -> Result<(), Singular> {
@@ -417,8 +439,15 @@ impl Planner {
     }
 
     fn solve_safe(&mut self, stop: &mut dyn FnMut() -> bool, report: &mut Report) {
-        let problem =
-            Problem { a: &self.quadratic.a, b: &self.quadratic.b, lower: &self.low, upper: &self.high, c: &[], d: &[] };
+        let problem = Problem {
+            a: &self.quadratic.a,
+            b: &self.quadratic.b,
+            lower: &self.low,
+            upper: &self.high,
+            c: &[],
+            d: &[],
+            price: &[],
+        };
         let solved = self.solver.solve(&problem, &mut self.u, stop);
         self.guess.forget();
         report.solver_iterations += solved.iterations;
@@ -434,12 +463,12 @@ impl Planner {
         stop: &mut dyn FnMut() -> bool,
         report: &mut Report,
     ) {
-        self.linearize_pairs(next, inputs);
+        self.linearize_pairs(next, inputs, report);
         let rows = self.pairs.rows.len();
         let nc = self.u.len();
         let branch = self.config.warning;
         let complementarity = matches!(branch, WarningBranch::Seeded | WarningBranch::Complementarity);
-        let mut strict = None;
+        self.strict.clear();
         if complementarity {
             self.candidate.copy_from_slice(&self.u);
             let problem = Problem {
@@ -449,30 +478,40 @@ impl Planner {
                 upper: &self.high,
                 c: &self.pairs.c[..rows * nc],
                 d: &self.pairs.d[..rows],
+                price: &self.pairs.price[..rows],
             };
             self.guess.guess_into(&self.pairs.rows, inputs.ahead, &mut self.pairs.multiplier);
             let solved = self.solver.solve_warm(&problem, &self.pairs.multiplier[..rows], &mut self.candidate, stop);
-            self.guess.keep(&self.pairs.rows, inputs.ahead, self.solver.multipliers(), solved.status);
+            let multipliers = self.solver.multipliers();
+            // A pair that gave way where it may is as good as any; a hard row that did is a conflict.
+            let sold = solved.status == complementarity::Status::Relaxed
+                && multipliers[..rows].iter().any(|multiplier| *multiplier >= self.pairs.hard * (1.0 - 1e-9));
+            let status = match solved.status {
+                complementarity::Status::Relaxed if !sold => complementarity::Status::Optimal,
+                status => status,
+            };
+            self.guess.keep(&self.pairs.rows, inputs.ahead, multipliers, status);
             report.solver_iterations += solved.iterations;
-            report.optimal = solved.status.is_optimal();
+            report.truncated |= solved.status == complementarity::Status::Overfull;
+            report.optimal = solved.status.is_optimal() && !report.truncated;
             report.kkt_residual = solved.kkt_residual;
-            report.relaxed = solved.status == complementarity::Status::Relaxed;
+            report.relaxed |= sold;
             if branch == WarningBranch::Complementarity {
                 self.u.copy_from_slice(&self.candidate);
                 return;
             }
-            let violation = (0..rows)
-                .map(|r| {
-                    let c = &self.pairs.c[r * nc..(r + 1) * nc];
-                    -(self.pairs.d[r] + c.iter().zip(&self.candidate).map(|(c, u)| c * u).sum::<f64>())
-                })
-                .fold(0.0f64, f64::max);
             // A candidate that was not solved to its end may ignore rows: a seed like any other, no measure of what can
             // be kept.
-            strict = solved.status.is_optimal().then_some(violation + 1e-9);
+            if solved.status.is_optimal() {
+                for (r, row) in self.pairs.rows.iter().enumerate() {
+                    let at = self.pairs.position(r, &self.candidate);
+                    let missing = self.pairs.required[r] - inputs.ahead.moved_distance(row, &at);
+                    self.strict.push(missing.max(0.0) + STRICT_M);
+                }
+            }
         } else {
             report.kkt_residual = f64::NAN;
-            report.optimal = true;
+            report.optimal = !report.truncated;
         }
         let pairs = Pairs {
             rows: &self.pairs.rows,
@@ -484,7 +523,6 @@ impl Planner {
             obstacles: inputs.ahead,
         };
         self.iterate.copy_from_slice(&self.u);
-        self.strict = strict;
         let all: [&[f64]; 3] = [&self.previous, &self.iterate, &self.candidate];
         let seeds = if complementarity { &all[..] } else { &all[..2] };
         self.seeds = seeds.len();
@@ -497,7 +535,7 @@ impl Planner {
             &self.low,
             &self.high,
             seeds,
-            strict,
+            &self.strict,
             rng,
             stop,
         );
