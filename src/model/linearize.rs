@@ -287,10 +287,10 @@ impl Linearizing<'_> {
         let Linearization { nodes, passages, entries, scale, .. } = &mut **out;
         let [sign, length, connector, damping, mass] = nodes.load(w, SIGN, i + 1);
         let (stiffness, inertia) = (nodes.load(w, STIFFNESS, i + 1), nodes.load(w, INERTIA, i + 1));
-        let (p_before, pd_before): ([W::Value; 4], [W::Value; 4]) =
-            (nodes.load(w, QUATERNION, i), nodes.load(w, RATE + 3, i));
-        let (mut p, mut pd, mut pdd): ([W::Value; 4], [W::Value; 4], [W::Value; 4]) =
-            (nodes.load(w, QUATERNION, i + 1), nodes.load(w, RATE + 3, i + 1), nodes.load(w, ACCELERATION + 3, i + 1));
+        let (p_before, pd_before) = (nodes.load(w, QUATERNION, i), nodes.load(w, RATE + 3, i));
+        let mut p: [W::Value; 4] = nodes.load(w, QUATERNION, i + 1);
+        let mut pd: [W::Value; 4] = nodes.load(w, RATE + 3, i + 1);
+        let mut pdd: [W::Value; 4] = nodes.load(w, ACCELERATION + 3, i + 1);
         for c in 0..4 {
             (p[c], pd[c], pdd[c]) = (sign * p[c], sign * pd[c], sign * pdd[c]);
         }
