@@ -14,8 +14,9 @@
 //! The control thread allocates, locks and formats nothing once its first tick has begun, and touches no port: inputs come
 //! through triple buffers, torques leave by its own handles of the buses, records through a ring that drops and counts
 //! when it is full. `setup` turns the configuration into buses and drives, `tick` is the real path of a tick,
-//! `control_thread` says when it runs and `deadlines` what it missed, `bus_thread` is the drives' side, `obstacles` builds what must not be built on
-//! the control thread, `records` translates, `status` and `statistics` tell about it, `warm_up` walks every path once.
+//! `control_thread` says when it runs and `deadlines` what it missed, `bus_thread` is the drives' side, `obstacles` builds
+//! what must not be built on the control thread, `records` translates, `status` and `statistics` tell about it, `warm_up`
+//! walks every path once.
 //!
 //! # Lockstep
 //!

@@ -3,8 +3,8 @@
 //! A hull costs allocations, so a pair of obstacle sets is built where a message was accepted and only when shapes, ids
 //! or their number changed. It travels through a triple buffer, whose slots come back to the builder. On the control
 //! thread each obstacle of the pair is moved to where the newest table says it is when the tick's tensions begin to act
-//! and at the end of the lookahead. The pair is published before the table that belongs to it, so it is never older; an obstacle that the
-//! table does not know is parked far away, and one for which there is no place asks for a hold.
+//! and at the end of the lookahead. The pair is published before the table that belongs to it, so it is never older; an
+//! obstacle that the table does not know is parked far away, and one for which there is no place asks for a hold.
 
 use crate::collision::{OBSTACLES_MAX, Shape};
 use crate::config::ShapeConfig;

@@ -143,7 +143,8 @@ const ACCEPTED: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 80;
 /// Most active-set steps per working set; where they have not ended the search by then, they cycle or are far off.
 const ACTIVE_SET_STEPS_MAX: usize = 8;
-/// Most Newton iterations of a working set that was told, steps of active sets among them; where they do not solve it, it was a bad guess.
+/// Most Newton iterations of a working set that was told, steps of active sets among them; where they do not solve it, it
+/// was a bad guess.
 const WARM_ITERATIONS_MAX: usize = 12;
 /// A row is violated when `C u + d` is below minus this share of its size.
 const ROW_TOLERANCE: f64 = 1e-10;

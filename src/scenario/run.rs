@@ -196,8 +196,8 @@ impl Run {
         (reached, goal)
     }
 
-    /// Plans over a lookahead and takes one step of a period; `clock` gives nanoseconds and only measures (and ends a step where the scenario sets a
-    /// budget).
+    /// Plans over a lookahead and takes one step of a period; `clock` gives nanoseconds and only measures (and ends a step
+    /// where the scenario sets a budget).
     ///
     /// # Errors
     /// The motion diverged.
