@@ -12,6 +12,7 @@ pub mod ipc;
 pub mod math;
 pub mod model;
 pub mod planner;
+pub mod posture;
 pub mod recording;
 pub mod report;
 pub mod scenario;

@@ -18,6 +18,7 @@ const ORDER: &[&str] = &[
     "collision",
     "planner",
     "estimator",
+    "posture",
     "report",
     "scenario",
     "control",

@@ -50,7 +50,7 @@ pub fn case(k: usize) -> Case {
 /// The goal of a case; a tip's position comes with the request, because its curve is the Python side's too.
 pub fn goal<'a>(case: &Case, request: &Value) -> Goal<'a> {
     if case.shape {
-        Goal::Shape { curvatures: &SHAPE, weight: -9.99e5 * (case.t - 100.0).powi(2) + 1e10 }
+        Goal::Shape { curvatures: &SHAPE, weight: -9.99e5 * (case.t - 100.0).powi(2) + 1e10, rate: 1.0 }
     } else {
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let position = Vector3::from_row_slice(&numbers(&request["position"]));

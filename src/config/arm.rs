@@ -111,6 +111,13 @@ impl ArmConfig {
         self.segments.iter().map(|s| s.elements).sum()
     }
 
+    /// Length from the base to the tip (m): segments, and connectors between them.
+    pub fn length_m(&self) -> f64 {
+        let last = self.segments.len().saturating_sub(1);
+        let segment = |(i, s): (usize, &SegmentConfig)| s.length_m + if i < last { s.connector_length_m } else { 0.0 };
+        self.segments.iter().enumerate().map(segment).sum()
+    }
+
     /// Number of cables.
     pub fn cable_count(&self) -> usize {
         self.segments.iter().map(|s| s.hole_angles_rad.len()).sum()

@@ -40,7 +40,7 @@ impl Config {
     /// Summary of the arm, the loop, the planner, the observer, the buses and their drives.
     pub fn summary(&self) -> Vec<SummaryLine> {
         let arm = &self.arm;
-        let length: f64 = arm.segments.iter().map(|segment| segment.length_m + segment.connector_length_m).sum();
+        let length = arm.length_m();
         let routing = if arm.routing == Routing::Local { "local" } else { "through" };
         let mut lines = vec![
             line(

@@ -15,6 +15,7 @@ mod document;
 mod drives;
 pub mod error;
 mod friction;
+mod governor;
 mod guard;
 mod ipc;
 mod motion;
@@ -37,6 +38,7 @@ pub use check::SummaryLine;
 pub use drives::{BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX};
 pub use error::ConfigError;
 pub use friction::{FRICTION, FrictionConfig};
+pub use governor::{GOVERNOR, GovernorConfig};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};
@@ -60,11 +62,11 @@ static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "
 
 /// All top-level tables of the daemon's files.
 pub static TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC];
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC];
 
 /// What the daemon's files may hold.
 static KNOWN_TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &PLANT];
+    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &PLANT];
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -81,6 +83,8 @@ pub struct Config {
     pub observer: ObserverConfig,
     /// `[friction]`.
     pub friction: FrictionConfig,
+    /// `[governor]`.
+    pub governor: GovernorConfig,
     /// `[guard]`.
     pub guard: GuardConfig,
     /// `[obstacles]`.
@@ -122,6 +126,7 @@ impl Config {
         let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len());
         let observer = observer::read(&document.table_or_defaults(&OBSERVER));
         let friction = friction::read(&document.table_or_defaults(&FRICTION));
+        let governor = governor::read(&document.table_or_defaults(&GOVERNOR), &arm);
         let guard_table = document.table_or_defaults(&GUARD);
         let guard = guard::read(&guard_table);
         if guard.encoder_silent_s < 2.0 * timing.period_s {
@@ -138,6 +143,6 @@ impl Config {
             let most = timing.period_s - timing.reserve_s;
             planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
         }
-        Self { arm, timing, planner, weights, observer, friction, guard, obstacles, target, drives, ipc }
+        Self { arm, timing, planner, weights, observer, friction, governor, guard, obstacles, target, drives, ipc }
     }
 }

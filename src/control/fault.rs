@@ -263,11 +263,15 @@ pub enum Limit {
     PlanSingular = 7,
     /// A reading is missing and is bridged by the model.
     EncoderBridged = 8,
+    /// Obstacles hold the arm back on its way; the reference waits.
+    Blocked = 9,
+    /// The target is out of reach; the nearest pose is approached.
+    OutOfReach = 10,
 }
 
 impl Limit {
     /// All, in the order of their codes.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::ObstaclesExpired,
         Self::TargetStale,
         Self::RateLimited,
@@ -277,6 +281,8 @@ impl Limit {
         Self::Relaxed,
         Self::PlanSingular,
         Self::EncoderBridged,
+        Self::Blocked,
+        Self::OutOfReach,
     ];
 
     /// Stable number from 100 on, apart from those of faults.
@@ -296,6 +302,8 @@ impl Limit {
             Self::Relaxed => "distance constraints relaxed",
             Self::PlanSingular => "planning step failed: last tensions kept",
             Self::EncoderBridged => "missing reading bridged by the model",
+            Self::Blocked => "the way is blocked: waiting",
+            Self::OutOfReach => "target out of reach: approaching the nearest pose",
         }
     }
 }

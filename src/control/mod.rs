@@ -21,6 +21,7 @@ pub mod estimator;
 pub mod event;
 pub mod fault;
 pub mod friction;
+pub mod governor;
 pub mod guard;
 pub mod obstacles;
 pub mod overruns;

@@ -1,7 +1,7 @@
 //! Everything that the cycle is built from.
 
 use crate::config::{
-    ArmConfig, Config, FrictionConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig,
+    ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig,
 };
 
 /// Settings of a [`super::Cycle`], checked where they were read.
@@ -21,6 +21,8 @@ pub struct Settings {
     pub friction: FrictionConfig,
     /// Guard.
     pub guard: GuardConfig,
+    /// Limits of motion.
+    pub governor: GovernorConfig,
     /// Tensions (N), one per cable, to which arming brings the cables and under which the observer settles; the safe
     /// values unless a task must start from another equilibrium.
     pub start_tensions_n: Vec<f64>,
@@ -41,6 +43,7 @@ impl Settings {
             config.planner.clone(),
             config.weights.clone(),
             config.observer.clone(),
+            config.governor,
             config.guard.clone(),
         );
         Self { friction: config.friction.clone(), ..parts }
@@ -53,6 +56,7 @@ impl Settings {
         planner: PlannerConfig,
         weights: WeightsConfig,
         observer: ObserverConfig,
+        governor: GovernorConfig,
         guard: GuardConfig,
     ) -> Self {
         Self {
@@ -65,6 +69,7 @@ impl Settings {
             planner,
             weights,
             observer,
+            governor,
             friction: FrictionConfig::NONE,
             guard,
         }

@@ -163,6 +163,8 @@ fn limit_over(limit: Limit) -> &'static str {
         Limit::Relaxed => "distance constraints kept again",
         Limit::PlanSingular => "planning step succeeds again",
         Limit::EncoderBridged => "all readings there again",
+        Limit::Blocked => "the way is free again",
+        Limit::OutOfReach => "target within reach again",
     }
 }
 

@@ -288,7 +288,7 @@ impl<E: Estimator> Controller<E> {
         let fresh = now.overrun_s <= limits.hold_after_s;
         let sequence = now.sequence;
         let now_target = target_of(&now);
-        let (ahead, weight) = match self.ahead(track, now_ns, limits, now_target.is_tip()) {
+        let (ahead, weight) = match self.ahead(track, now_ns, limits) {
             Some(sample) => (Some(target_of(&sample)), sample.weight),
             None => (None, now.weight),
         };
@@ -297,8 +297,8 @@ impl<E: Estimator> Controller<E> {
 
     /// The target at the end of lookahead and lead, where the client has told that much of its path. Beyond it the
     /// cycle extrapolates by the rates.
-    fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits, tip: bool) -> Option<TargetSample> {
-        let lead_ns = (1e9 * self.cycle.lead_s(tip)) as u64;
+    fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits) -> Option<TargetSample> {
+        let lead_ns = (1e9 * self.cycle.lead_s()) as u64;
         track.sample(now_ns + lead_ns, limits).filter(|sample| sample.overrun_s <= 0.0)
     }
 

@@ -1,8 +1,9 @@
-//! Coefficients and vector updates of the generalised-alpha method (Arnold and Bruls 2007), equation (10).
+//! Coefficients and vector updates of the generalised-alpha method (Arnold and Bruls 2007), equation (10), and of the
+//! backward Euler method in the same form.
 
 use crate::model::{Rates, State};
 
-/// Coefficients of the method; all follow from the spectral radius at infinite frequency.
+/// Coefficients of the method.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scheme {
     /// `alpha_m = (2 rho - 1)/(rho + 1)`.
@@ -11,8 +12,10 @@ pub struct Scheme {
     pub alpha_f: f64,
     /// `gamma = 1/2 + alpha_f - alpha_m`.
     pub gamma: f64,
-    /// `phi = (gamma + 1/2)^2 / 4`.
+    /// `phi = (gamma + 1/2)^2 / 4`; 1 for backward Euler.
     pub phi: f64,
+    /// Share of the auxiliary acceleration that a step starts from: 1; 0 for backward Euler, which carries none.
+    carried: f64,
 }
 
 impl Scheme {
@@ -21,7 +24,17 @@ impl Scheme {
         let alpha_m = (2.0 * rho_inf - 1.0) / (rho_inf + 1.0);
         let alpha_f = rho_inf / (rho_inf + 1.0);
         let gamma = 0.5 + alpha_f - alpha_m;
-        Self { alpha_m, alpha_f, gamma, phi: 0.25 * (gamma + 0.5).powi(2) }
+        Self { alpha_m, alpha_f, gamma, phi: 0.25 * (gamma + 0.5).powi(2), carried: 1.0 }
+    }
+
+    /// Backward Euler: `q_k = q_{k-1} + eta q'_k`, `q'_k = q'_{k-1} + eta q''_k`, and nothing of the accelerations before.
+    ///
+    /// The scheme of a planner whose period is shorter than its lookahead. Such a step is a prediction, made again every
+    /// period. Generalised-alpha carries the acceleration it starts from over the whole lookahead and lets a mode of
+    /// `omega eta >> 1` end at rates of `omega eta` times those that it had; weights on rates then fight velocities that
+    /// never come, and the loop is unstable unless the material damps strongly (`docs/DESIGN.md`, prediction).
+    pub const fn backward_euler() -> Self {
+        Self { alpha_m: 0.0, alpha_f: 0.0, gamma: 1.0, phi: 1.0, carried: 0.0 }
     }
 
     /// `dq'/dq = gamma/(eta phi)`, `dq''/dq = (1 - alpha_m)/(eta^2 phi (1 - alpha_f))` for a step of `eta` seconds.
@@ -36,7 +49,7 @@ impl Scheme {
     pub fn predict(&self, eta: f64, previous: &State, next: &mut State) {
         next.lambda.copy_from_slice(&previous.lambda);
         for k in 0..previous.q.len() {
-            let a0 = previous.a[k];
+            let a0 = self.carried * previous.a[k];
             let a1 = (self.alpha_f * previous.qdd[k] - self.alpha_m * a0) / (1.0 - self.alpha_m);
             next.qdd[k] = 0.0;
             next.a[k] = a1;

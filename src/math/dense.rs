@@ -9,11 +9,17 @@ use pulp::{Arch, Simd, WithSimd};
 /// Solves `a x = b` in place (`a` n x n row-major, destroyed; `b` becomes `x`). Returns false where a pivot is zero
 /// or not finite. Does not allocate.
 pub fn solve_in_place(n: usize, a: &mut [f64], b: &mut [f64]) -> bool {
-    Arch::new().dispatch(Solving { n, a, b })
+    solve_panel_in_place(n, 1, a, b)
+}
+
+/// The same for `columns` right-hand sides at once, `b` n x columns row-major.
+pub fn solve_panel_in_place(n: usize, columns: usize, a: &mut [f64], b: &mut [f64]) -> bool {
+    Arch::new().dispatch(Solving { n, columns, a, b })
 }
 
 struct Solving<'a> {
     n: usize,
+    columns: usize,
     a: &'a mut [f64],
     b: &'a mut [f64],
 }
@@ -23,7 +29,7 @@ impl WithSimd for Solving<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> bool {
-        let Self { n, a, b } = self;
+        let Self { n, columns: m, a, b } = self;
         for k in 0..n {
             let mut pivot = k;
             let mut best = a[k * n + k].abs();
@@ -41,7 +47,9 @@ impl WithSimd for Solving<'_> {
                 for c in k..n {
                     a.swap(k * n + c, pivot * n + c);
                 }
-                b.swap(k, pivot);
+                for c in 0..m {
+                    b.swap(k * m + c, pivot * m + c);
+                }
             }
             let (top, below) = a.split_at_mut((k + 1) * n);
             let row = &top[k * n..];
@@ -51,15 +59,19 @@ impl WithSimd for Solving<'_> {
                 let f = other[k] * inverse;
                 if f != 0.0 {
                     add_scaled(simd, -f, &row[k + 1..n], &mut other[k + 1..]);
-                    b[r] -= f * b[k];
+                    for c in 0..m {
+                        b[r * m + c] -= f * b[k * m + c];
+                    }
                 }
             }
         }
         for k in (0..n).rev() {
-            let s: f64 = (k + 1..n).map(|c| a[k * n + c] * b[c]).sum();
-            b[k] = (b[k] - s) / a[k * n + k];
+            for c in 0..m {
+                let s: f64 = (k + 1..n).map(|r| a[k * n + r] * b[r * m + c]).sum();
+                b[k * m + c] = (b[k * m + c] - s) / a[k * n + k];
+            }
         }
-        b[..n].iter().all(|v| v.is_finite())
+        b[..n * m].iter().all(|v| v.is_finite())
     }
 }
 

@@ -15,3 +15,12 @@ pub use combined::{Branch, Inputs, PAIRS_MAX, Planner, Report, Status};
 pub use deadline::Deadline;
 pub use problem::{Goal, Quadratic};
 pub use start::{StartError, tip_start};
+
+use crate::config::PlannerConfig;
+use crate::integrator::Scheme;
+
+/// The scheme by which a planner predicts: generalised-alpha where its step is carried out as it was planned, as in the
+/// paper; backward Euler where it is planned anew before it has ended.
+pub fn prediction(config: &PlannerConfig, rho_inf: f64) -> Scheme {
+    if config.period_s < config.lookahead_s { Scheme::backward_euler() } else { Scheme::new(rho_inf) }
+}

@@ -27,8 +27,10 @@ pub enum Goal<'a> {
     Shape {
         /// Curvatures (1/m), `(y, z)` segment by segment.
         curvatures: &'a [f64],
-        /// Weight on curvatures and their rates.
+        /// Weight on curvatures.
         weight: f64,
+        /// Weight on their rates over that (s^2); 1 in the paper.
+        rate: f64,
     },
 }
 
@@ -49,11 +51,11 @@ impl Goal<'_> {
                 let (others, tip) = state.qd.split_at(7 * (n - 1));
                 pose * error + rate * sum(tip) + damping * sum(others)
             }
-            Self::Shape { curvatures, weight } => {
+            Self::Shape { curvatures, weight, rate } => {
                 let (k, kd) = scratch.split_at_mut(curvatures.len());
                 arm.curvatures_into(&state.q, &state.qd, k, &mut kd[..curvatures.len()]);
                 let error: f64 = k.iter().zip(curvatures).map(|(k, d)| (k - d).powi(2)).sum();
-                weight * (error + kd[..curvatures.len()].iter().map(|x| x * x).sum::<f64>())
+                weight * (error + rate * kd[..curvatures.len()].iter().map(|x| x * x).sum::<f64>())
             }
         }
     }
@@ -68,7 +70,7 @@ pub struct Quadratic {
     pub b: Vec<f64>,
     /// Constant part.
     pub c: f64,
-    /// Output sensitivities of the shape mode: curvatures, then rates; rows x cables.
+    /// Sensitivities of the mean curvatures, then of their rates; rows x cables.
     rows: Vec<f64>,
     errors: Vec<f64>,
     /// Weight and slope of each row that the quadratic sums over.
@@ -140,40 +142,15 @@ impl Quadratic {
                     slopes: &self.slopes,
                 });
             }
-            Goal::Shape { curvatures, weight } => {
+            Goal::Shape { curvatures, weight, rate } => {
                 let outputs = curvatures.len();
-                let (k, kd) = self.errors.split_at_mut(outputs);
-                arm.curvatures_into(&state.q, &state.qd, k, kd);
-                k.iter_mut().zip(curvatures).for_each(|(k, d)| *k -= d);
-                self.rows.fill(0.0);
-                let (rows_k, rows_d) = self.rows.split_at_mut(outputs * nc);
-                for (i, element) in arm.elements.iter().enumerate() {
-                    let sensitivity = arm.curvature_sensitivity(&state.q, &state.qd, i, rates.cg);
-                    for (node, k_rows, d_rows) in
-                        [(i, sensitivity.k[0], sensitivity.kd[0]), (i + 1, sensitivity.k[1], sensitivity.kd[1])]
-                    {
-                        if node == 0 {
-                            continue;
-                        }
-                        for o in 0..2 {
-                            let out = 2 * element.segment + o;
-                            for c in 0..4 {
-                                let row = COORDINATES * (node - 1) + 3 + c;
-                                let (fk, fd) = (k_rows[(o, c)], d_rows[(o, c)]);
-                                k[out] += fk * map.x0[row];
-                                kd[out] += fd * map.x0[row];
-                                for (j, x) in map.row(row).iter().enumerate() {
-                                    rows_k[out * nc + j] += fk * x;
-                                    rows_d[out * nc + j] += fd * x;
-                                }
-                            }
-                        }
-                    }
-                }
-                self.c += weight * self.errors.iter().map(|e| e * e).sum::<f64>();
-                self.weights[..2 * outputs].fill(weight);
-                for (slope, e) in self.slopes.iter_mut().zip(&self.errors) {
-                    *slope = weight * e;
+                self.curvature_rows(arm, state, rates, map);
+                self.errors[..outputs].iter_mut().zip(curvatures).for_each(|(k, d)| *k -= d);
+                self.weights[..outputs].fill(weight);
+                self.weights[outputs..2 * outputs].fill(weight * rate);
+                for ((slope, e), w) in self.slopes.iter_mut().zip(&self.errors).zip(&self.weights[..2 * outputs]) {
+                    *slope = w * e;
+                    self.c += w * e * e;
                 }
                 Arch::new().dispatch(Gram {
                     a: &mut self.a,
@@ -188,6 +165,39 @@ impl Quadratic {
             self.a[i * nc + i] += tension + change[i];
             self.b[i] -= change[i] * u_previous[i];
             self.c += change[i] * u_previous[i] * u_previous[i];
+        }
+    }
+
+    /// Mean curvatures and their rates at the iterate, after the correction without tensions, to `errors`; what tensions
+    /// do to them, to `rows`.
+    fn curvature_rows(&mut self, arm: &Arm, state: &State, rates: Rates, map: &AffineMap) {
+        let (nc, outputs) = (map.cables, 2 * arm.segment_count());
+        let (k, kd) = self.errors.split_at_mut(outputs);
+        arm.curvatures_into(&state.q, &state.qd, k, kd);
+        self.rows.fill(0.0);
+        let (rows_k, rows_d) = self.rows.split_at_mut(outputs * nc);
+        for (i, element) in arm.elements.iter().enumerate() {
+            let sensitivity = arm.curvature_sensitivity(&state.q, &state.qd, i, rates.cg);
+            for (node, k_rows, d_rows) in
+                [(i, sensitivity.k[0], sensitivity.kd[0]), (i + 1, sensitivity.k[1], sensitivity.kd[1])]
+            {
+                if node == 0 {
+                    continue;
+                }
+                for o in 0..2 {
+                    let out = 2 * element.segment + o;
+                    for c in 0..4 {
+                        let row = COORDINATES * (node - 1) + 3 + c;
+                        let (fk, fd) = (k_rows[(o, c)], d_rows[(o, c)]);
+                        k[out] += fk * map.x0[row];
+                        kd[out] += fd * map.x0[row];
+                        for (j, x) in map.row(row).iter().enumerate() {
+                            rows_k[out * nc + j] += fk * x;
+                            rows_d[out * nc + j] += fd * x;
+                        }
+                    }
+                }
+            }
         }
     }
 

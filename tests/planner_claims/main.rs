@@ -378,7 +378,7 @@ fn arms_of_every_size_plan() {
                     assert_ne!(report.status, Status::Singular, "{segments} {elements} {cables}");
                     assert_bounded(&planner, &bench.config);
                     let curvatures = vec![0.3; 2 * segments];
-                    let goal = Goal::Shape { curvatures: &curvatures, weight: 1e10 };
+                    let goal = Goal::Shape { curvatures: &curvatures, weight: 1e10, rate: 1.0 };
                     let report = run(&mut planner, &inputs(&bench, goal, &obstacles), 2);
                     assert_ne!(report.status, Status::Singular, "{segments} {elements} {cables}");
                     assert_bounded(&planner, &bench.config);

@@ -69,7 +69,7 @@ impl PlanCase {
         }
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let goal = if shape {
-            Goal::Shape { curvatures: &SHAPE, weight: -9.99e5 * (t - 100.0).powi(2) + 1e10 }
+            Goal::Shape { curvatures: &SHAPE, weight: -9.99e5 * (t - 100.0).powi(2) + 1e10, rate: 1.0 }
         } else {
             let quaternion = Vector4::new(h, 0.0, h, 0.0);
             Goal::Tip { position: tip_target(t), quaternion, pose: 5e12, rate: 5e10, damping: 1e8 }

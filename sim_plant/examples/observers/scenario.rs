@@ -74,7 +74,7 @@ impl Scenario {
                 damping: 1e8,
             }
         } else {
-            Goal::Shape { curvatures: &self.target, weight: -9.99e5 * (t.min(100.0) - 100.0).powi(2) + 1e10 }
+            Goal::Shape { curvatures: &self.target, weight: -9.99e5 * (t.min(100.0) - 100.0).powi(2) + 1e10, rate: 1.0 }
         }
     }
 

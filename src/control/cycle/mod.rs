@@ -19,14 +19,14 @@ use super::settings::{Settings, seconds_to_ns};
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
+use super::governor::Governor;
 use super::target::{TargetInput, lag_s};
 use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
-use crate::integrator::Scheme;
 use crate::model::{Arm, State};
-use crate::planner::{Deadline, Inputs, Planner, Report};
+use crate::planner::{Deadline, Inputs, Planner, Report, prediction};
 use elapsed::Elapsed;
-use nalgebra::{Vector3, Vector4};
+use nalgebra::Vector3;
 use plan::Wanted;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -94,22 +94,13 @@ pub struct TickOutput {
     pub answer: Option<Answer>,
 }
 
-/// What a hold keeps to.
-#[derive(Debug, Clone, Copy)]
-enum Held {
-    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
-    Shape([f64; CURVATURES_MAX]),
-}
-
 /// The controller of one arm.
 #[derive(Debug)]
 pub struct Cycle<E, P = Planner> {
     settings: Settings,
     arm: Arm,
     estimator: E,
-    /// The two tasks weight the tensions' change differently, hence two planners.
-    tip_planner: P,
-    shape_planner: P,
+    planner: P,
     supervisor: Supervisor,
     encoders: EncoderGuard,
     tensions: TensionGuard,
@@ -119,14 +110,11 @@ pub struct Cycle<E, P = Planner> {
     period_ns: u64,
     elapsed: Elapsed,
     latency_s: f64,
-    lead_tip_s: f64,
-    lead_shape_s: f64,
+    lead_s: f64,
 
     observing: bool,
     estimate: Estimate,
-    held: Held,
-    /// Whether the last target that was followed was a tip pose: what a hold then keeps to.
-    last_was_tip: bool,
+    governor: Governor,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
     model_rates: Vec<f64>,
@@ -146,44 +134,36 @@ pub struct Cycle<E, P = Planner> {
 }
 
 impl<E: Estimator> Cycle<E> {
-    /// With the real planners. Allocates; nothing else here does.
+    /// With the real planner. Allocates; nothing else here does.
     ///
     /// # Panics
     /// If the arm has more cables or segments than a record holds, which the configuration does not permit, or start
     /// tensions or home curvatures are not as many as the arm needs.
     pub fn new(settings: &Settings, estimator: E) -> Self {
-        let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
-        let planner = |tension, change: &[f64]| Planner::new(&settings.arm, &settings.planner, tension, change);
-        Self::with_planners(
-            settings,
-            estimator,
-            planner(tip.tension, &tip.tension_change),
-            planner(shape.tension, &shape.tension_change),
-        )
+        let weights = &settings.weights.tip;
+        let planner = Planner::new(&settings.arm, &settings.planner, weights.tension, &weights.tension_change);
+        Self::with_planner(settings, estimator, planner)
     }
 }
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
-    /// With given planners for tip and shape targets. Allocates.
+    /// With a given planner. Allocates.
     ///
     /// # Panics
     /// As [`Cycle::new`].
-    pub fn with_planners(settings: &Settings, estimator: E, tip_planner: P, shape_planner: P) -> Self {
+    pub fn with_planner(settings: &Settings, estimator: E, planner: P) -> Self {
         let arm = Arm::new(&settings.arm);
         let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
         assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
         let (start, home) = (settings.start_tensions_n.len(), settings.home_curvatures_1pm.len());
         assert!(start == cables && home == 2 * segments, "{start} start tensions, {home} home curvatures");
-        let planner = &settings.planner;
-        let scheme = Scheme::new(settings.arm.rho_inf);
+        let planning = &settings.planner;
+        let scheme = prediction(&settings.planner, settings.arm.rho_inf);
         let period_s = settings.timing.period_s;
         let weights = &settings.weights;
         let latency_s = settings.observer.latency_ticks as f64 * period_s;
-        let lead = |rate, pose| {
-            latency_s
-                + planner.lookahead_s
-                + planner.lead_s.unwrap_or_else(|| lag_s(rate, pose, &scheme, planner.lookahead_s))
-        };
+        let lag_s =
+            planning.lead_s.unwrap_or_else(|| lag_s(weights.tip.rate, weights.tip.pose, &scheme, planning.lookahead_s));
         Self {
             supervisor: Supervisor::new(&settings.timing, &settings.observer),
             encoders: EncoderGuard::new(&settings.guard, cables, settings.timing.period_s),
@@ -191,17 +171,14 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             friction: FrictionCompensation::new(&settings.friction, &arm, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
-            body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planner.body, planner.body_radius_m, 1),
+            body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planning.body, planning.body_radius_m, 1),
             period_ns: seconds_to_ns(period_s),
             elapsed: Elapsed::new(seconds_to_ns(period_s)),
             latency_s,
-            lead_tip_s: lead(weights.tip.rate, weights.tip.pose),
-            // One weight for curvatures and rates (46).
-            lead_shape_s: lead(weights.shape.curvature, weights.shape.curvature),
+            lead_s: latency_s + planning.lookahead_s + lag_s,
             observing: false,
             estimate: Estimate::default(),
-            held: Held::Shape([0.0; CURVATURES_MAX]),
-            last_was_tip: false,
+            governor: Governor::new(&arm, &settings.arm, &settings.governor, planning),
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],
@@ -219,8 +196,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             settings: settings.clone(),
             arm,
             estimator,
-            tip_planner,
-            shape_planner,
+            planner,
         }
     }
 
@@ -229,10 +205,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         self.latency_s
     }
 
-    /// How far ahead of the tick a target of this kind is wanted (s): latency, lookahead, and the lag of the rate weights
-    /// or `lead_s` in its place.
-    pub const fn lead_s(&self, tip: bool) -> f64 {
-        if tip { self.lead_tip_s } else { self.lead_shape_s }
+    /// How far ahead of the tick a target is wanted (s): latency, lookahead, and the lag of the rate weights or `lead_s` in
+    /// its place.
+    pub const fn lead_s(&self) -> f64 {
+        self.lead_s
     }
 
     /// Tensions to send (N), one per cable: finite and inside the box; zero while the drives are off.
@@ -260,6 +236,16 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         &self.estimator
     }
 
+    /// The governor.
+    pub const fn governor(&self) -> &Governor {
+        &self.governor
+    }
+
+    /// Where the estimate has its tip (m, base frame).
+    pub fn estimated_tip(&self) -> Vector3<f64> {
+        self.arm.pose(&self.estimator.state().q, self.arm.node_count()).0
+    }
+
     /// One tick, up to the tensions. Does not allocate, never panics on any input, asks `deadline` while planning.
     pub fn tick(
         &mut self,
@@ -283,7 +269,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let before = self.supervisor.mode();
         let seen = self.observed(inputs, faults, progress);
         let decision = self.supervisor.step(&seen);
-        self.on_mode_change(before, inputs);
+        self.on_mode_change(before);
         limits.0 |= decision.limits.0;
         let plan = self.propose(inputs, &decision, &mut limits, rng, deadline);
         deadline.mark(Phase::Plan);
@@ -407,32 +393,19 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     }
 
     /// What a change of mode does to the cycle's own state.
-    fn on_mode_change(&mut self, before: Mode, inputs: &TickInputs<'_>) {
+    fn on_mode_change(&mut self, before: Mode) {
         let mode = self.supervisor.mode();
-        if mode == Mode::Tracking
-            && let Some(target) = &inputs.target
-        {
-            self.last_was_tip = target.now.is_tip();
-        }
         if mode == before {
             return;
         }
         self.ramp.end();
         self.singular_in_row = 0;
         match mode {
-            Mode::Holding => {
-                let state = self.estimator.state();
-                // Home and the first hold after the start keep the whole shape; a tip task keeps its tip.
-                self.held = if self.last_was_tip && before == Mode::Tracking {
-                    let (position, quaternion) = self.arm.pose(&state.q, self.arm.node_count());
-                    Held::Tip { position, quaternion }
-                } else {
-                    Held::Shape(self.curvatures)
-                };
-            }
-            Mode::Disarmed | Mode::Starting => {
-                self.observing = false;
-                self.last_was_tip = false;
+            Mode::Disarmed | Mode::Starting => self.observing = false,
+            _ if mode.is_planning() && !before.is_planning() => {
+                let state = self.estimator.predicted();
+                let count = 2 * self.arm.segment_count();
+                self.governor.restart(&state.q, &state.lambda, &self.curvatures[..count]);
             }
             _ => {}
         }
@@ -476,10 +449,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 }
                 return None;
             }
-            Action::Hold => match self.held {
-                Held::Tip { position, quaternion } => Wanted::Tip { position, quaternion, weight: 0.0 },
-                Held::Shape(curvatures) => Wanted::Shape { curvatures, weight: 0.0 },
-            },
+            Action::Hold => Wanted::Rest,
             Action::Home => {
                 let mut curvatures = [0.0; CURVATURES_MAX];
                 curvatures.iter_mut().zip(&self.settings.home_curvatures_1pm).for_each(|(k, home)| *k = *home);

@@ -7,7 +7,9 @@ use crate::control::budget::StopWatch;
 use crate::control::estimator::Estimator;
 use crate::control::fault::{Limit, Limits};
 use crate::control::target::Target;
+use crate::control::governor::Wish;
 use crate::planner::{Goal, Inputs, Report, Status};
+use crate::posture::Surroundings;
 use nalgebra::{Vector3, Vector4};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -15,18 +17,18 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 pub(super) enum Wanted {
     Tip { position: Vector3<f64>, quaternion: Vector4<f64>, weight: f64 },
     Shape { curvatures: [f64; CURVATURES_MAX], weight: f64 },
+    /// To come to rest and stay.
+    Rest,
 }
 
-/// A target's weight, or the configured one where the target has none.
-fn given_or(weight: f64, configured: f64) -> f64 {
-    if weight > 0.0 { weight } else { configured }
-}
+/// Weight of the posture over that of a position, as a share of the squared length of a segment.
+const POSTURE_SHARE: f64 = 0.1;
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// The target at the end of lookahead and lead.
     pub(super) fn wanted(&self, inputs: &TickInputs<'_>) -> Option<Wanted> {
         let target = inputs.target?;
-        let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s(target.now.is_tip())));
+        let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s));
         Some(match ahead {
             Target::Tip { position_m, quaternion, .. } => {
                 Wanted::Tip { position: position_m, quaternion: quaternion.normalize(), weight: target.weight }
@@ -44,23 +46,40 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         deadline: &mut impl StopWatch,
     ) -> Report {
         let weights = &self.settings.weights;
-        let (planner, goal) = match wanted {
+        let count = 2 * self.arm.segment_count();
+        let given = |weight: f64, configured: f64| if weight > 0.0 { weight / configured } else { 1.0 };
+        let (wish, share) = match wanted {
             Wanted::Tip { position, quaternion, weight } => {
-                let w = &weights.tip;
-                let pose = given_or(*weight, w.pose);
-                // In proportion, so that the lag of the motion stays the one that the lead is made for.
-                let rate = w.rate * (pose / w.pose);
-                let (position, quaternion) = (*position, *quaternion);
-                let goal = Goal::Tip { position, quaternion, pose, rate, damping: w.damping };
-                (&mut self.tip_planner, goal)
+                (Wish::Tip { position: *position, quaternion: *quaternion }, given(*weight, weights.tip.pose))
             }
             Wanted::Shape { curvatures, weight } => {
-                let weight = given_or(*weight, weights.shape.curvature);
-                let curvatures = &curvatures[..2 * self.arm.segment_count()];
-                (&mut self.shape_planner, Goal::Shape { curvatures, weight })
+                (Wish::Shape(&curvatures[..count]), given(*weight, weights.shape.curvature))
             }
+            Wanted::Rest => (Wish::Rest, 1.0),
         };
-        let report = planner.plan(
+        let around = Surroundings {
+            now: inputs.obstacles.now(),
+            ahead: inputs.obstacles.ahead(),
+            span_s: self.settings.planner.lookahead_s,
+            beyond_s: self.lead_s - self.latency_s - self.settings.planner.lookahead_s,
+        };
+        let around = self.settings.planner.avoidance.then_some(&around);
+        let period_s = self.settings.timing.period_s;
+        let q = &self.estimator.predicted().q;
+        self.governor.advance(period_s, &wish, q, &self.curvatures[..count], around);
+        if self.governor.is_blocked() {
+            limits.insert(Limit::Blocked);
+        }
+        if self.governor.is_out_of_reach() {
+            limits.insert(Limit::OutOfReach);
+        }
+        let length = self.settings.arm.segments[0].length_m;
+        let goal = Goal::Shape {
+            curvatures: self.governor.command(),
+            weight: share * weights.tip.pose * POSTURE_SHARE * length * length,
+            rate: weights.tip.rate / weights.tip.pose,
+        };
+        let report = self.planner.plan(
             &Inputs {
                 state: self.estimator.predicted(),
                 u_previous: &self.sent,
@@ -78,8 +97,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             self.proposed.copy_from_slice(&self.sent);
         } else {
             self.singular_in_row = 0;
-            self.proposed.copy_from_slice(planner.tensions());
-            if let Some(planned) = planner.planned() {
+            self.proposed.copy_from_slice(self.planner.tensions());
+            if let Some(planned) = self.planner.planned() {
                 self.friction.update(&self.arm, self.estimator.predicted(), planned);
             }
         }

@@ -174,11 +174,10 @@ impl Planner {
         let body =
             Body::with_capacity(&BodyGeometry::from_arm(arm_config), config.body, config.body_radius_m, PAIRS_MAX);
         let frames = || Frames { r: vec![Vector3::zeros(); n + 1], t: vec![Vector3::zeros(); n + 1] };
-        let length_m: f64 = arm_config.segments.iter().map(|s| s.length_m + s.connector_length_m).sum();
         let pace = config.lookahead_s / config.period_s;
         Self {
             config: config.clone(),
-            scheme: Scheme::new(arm_config.rho_inf),
+            scheme: super::prediction(config, arm_config.rho_inf),
             stepper: Stepper::new(&arm),
             map: AffineMap::new(&arm),
             quadratic: Quadratic::new(&arm),
@@ -191,7 +190,7 @@ impl Planner {
             box_low: vec![arm_config.tension_n_min; nc],
             box_high: vec![arm_config.tension_n_max; nc],
             rate_max: arm_config.tension_rate_npsmax * config.period_s,
-            far: (n as f64).sqrt() * length_m,
+            far: (n as f64).sqrt() * arm_config.length_m(),
             low: vec![0.0; nc],
             high: vec![0.0; nc],
             previous: vec![0.0; nc],

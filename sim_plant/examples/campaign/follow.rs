@@ -1,0 +1,183 @@
+//! A scenario in the closed loop, as `sinew demo` runs it, without bus and processes.
+
+use crate::{Args, World, each_seed};
+use nalgebra::{Vector3, Vector4};
+use sim_plant::bench::Bench;
+use sinew::collision::{Body, BodyGeometry, Shape};
+use sinew::config::{BodyModel, ScenarioConfig, Task};
+use sinew::control::obstacles::Placement;
+use sinew::control::{CURVATURES_MAX, Mode, Request, Settings, Target, TargetInput};
+use std::io::Write;
+use std::path::Path;
+
+/// Time at the start of the task before it is judged (s).
+const APPROACH_S: f64 = 20.0;
+
+pub fn run(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>) {
+    each_seed(args, |seed| {
+        let line = one(args, name, duration, trace, seed);
+        println!("{seed:4} {line}");
+    });
+}
+
+fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, seed: u64) -> String {
+    let World { mut config, truth } = args.world(seed);
+    let scenario = ScenarioConfig::find(name).unwrap_or_else(|error| panic!("{error}"));
+    config.planner.avoidance = scenario.planner.avoidance;
+    let mut settings = Settings::new(&config);
+    let tip = matches!(scenario.task, Task::Tip { .. });
+    let arm = sinew::model::Arm::new(&config.arm);
+    if tip {
+        // The reference's start, as in the observers' study.
+        let text = include_str!("../../../tests/golden/tip_start.json");
+        let value: serde_json::Value = serde_json::from_str(text).unwrap();
+        settings.start_tensions_n = value["u0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+        settings.start_tensions_n.iter_mut().for_each(|u| *u = u.max(config.arm.tension_n_min));
+    }
+    let mut bench = Bench::new(&config, &settings, &truth);
+    if tip {
+        let text = include_str!("../../../tests/golden/tip_start.json");
+        let value: serde_json::Value = serde_json::from_str(text).unwrap();
+        let q: Vec<f64> = value["q0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
+        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
+        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
+    }
+    for obstacle in &scenario.obstacles {
+        let shape = Shape::new(&obstacle.shape).unwrap();
+        bench.obstacles.insert(bench.obstacles.now().len() as u64, &shape).unwrap();
+    }
+    if let Err(why) = bench.arm(60.0) {
+        return format!("not armed: {why}");
+    }
+    let lookahead = config.planner.lookahead_s;
+    let h = config.timing.period_s;
+    let nodes = bench.truth.config().node_count() + 1;
+    let (mut r, mut t) = (vec![Vector3::zeros(); nodes], vec![Vector3::zeros(); nodes]);
+    let geometry = BodyGeometry::from_arm(bench.truth.config());
+    let mut body = Body::with_capacity(&geometry, BodyModel::Arm, 0.0, 16);
+    let duration = duration.unwrap_or(scenario.duration_s);
+    let begin = bench.time_s() + APPROACH_S;
+    let mut request = Some(Request::Track);
+    let mut trace = trace.map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
+    let (mut sum, mut count, mut worst, mut least, mut rough) = (0.0, 0usize, (0.0f64, 0.0), (f64::INFINITY, 0.0), 0.0);
+    let (mut estimate_worst, mut turn_worst) = (0.0f64, 0.0f64);
+    let mut last: Vec<f64> = bench.cycle.tensions_n().to_vec();
+    let mut failed = String::new();
+    let mut speed = 0.0f64;
+    let mut before = bench.truth.tip().position;
+    while bench.time_s() < begin + duration {
+        let now = bench.time_s() + h - begin;
+        let place = |bench: &mut Bench, at: f64| {
+            for (k, obstacle) in scenario.obstacles.iter().enumerate() {
+                let (a, b) = (obstacle.motion.position_at(at.max(0.0)), obstacle.motion.position_at((at + lookahead).max(0.0)));
+                let placement = Placement {
+                    position_now_m: a,
+                    position_ahead_m: b,
+                    quaternion: obstacle.quaternion,
+                    growth_m: 0.0,
+                };
+                bench.obstacles.place(k, &placement).unwrap();
+            }
+        };
+        place(&mut bench, now);
+        let ahead_s = now + bench.cycle.lead_s();
+        bench.target = Some(match &scenario.task {
+            Task::Tip { path, .. } => {
+                let at = |t: f64| {
+                    let (p, q) = path.pose_at(t.max(0.0));
+                    Target::Tip {
+                        position_m: p.into(),
+                        quaternion: Vector4::from(q),
+                        velocity_mps: Vector3::zeros(),
+                        angular_velocity_radps: Vector3::zeros(),
+                    }
+                };
+                TargetInput { now: at(now), ahead: Some(at(ahead_s)), weight: 0.0, sequence: 1, fresh: true }
+            }
+            Task::Shape { curvatures_1pm, .. } => {
+                let mut k = [0.0; CURVATURES_MAX];
+                k[..curvatures_1pm.len()].copy_from_slice(curvatures_1pm);
+                let now = Target::Shape { curvatures_1pm: k, rates_1pms: [0.0; CURVATURES_MAX] };
+                TargetInput { now, ahead: None, weight: 0.0, sequence: 1, fresh: true }
+            }
+        });
+        // A shape starts with its run: its path is the approach.
+        if !tip && now < 0.0 {
+            bench.target = None;
+            bench.step(None);
+            continue;
+        }
+        let output = bench.step(request.take());
+        let tip_now = bench.truth.tip();
+        speed = speed.max((tip_now.position - before).norm() / h);
+        before = tip_now.position;
+        let estimate = (bench.cycle.estimated_tip() - tip_now.position).norm();
+        let u = bench.cycle.tensions_n();
+        let change = u.iter().zip(&last).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / u.len() as f64;
+        last.copy_from_slice(u);
+        let mut error = 0.0;
+        if let Task::Tip { path, .. } = &scenario.task {
+            let (p, q) = path.pose_at(now.max(0.0));
+            error = (tip_now.position - Vector3::from(p)).norm();
+            let q = Vector4::from(q);
+            let turn = (tip_now.quaternion - q).norm().min((tip_now.quaternion + q).norm());
+            if now >= 0.0 {
+                turn_worst = turn_worst.max(turn);
+            }
+        }
+        bench.truth.frames_into(&mut r, &mut t);
+        let measured = body.measure(&r, &t, bench.obstacles.now());
+        let distance = measured.along_arm.iter().copied().fold(f64::INFINITY, f64::min);
+        if distance < least.0 {
+            least = (distance, now);
+        }
+        if now >= 0.0 {
+            sum += error;
+            count += 1;
+            rough += change;
+            estimate_worst = estimate_worst.max(estimate);
+            if error > worst.0 {
+                worst = (error, now);
+            }
+        }
+        if let Some(file) = &mut trace {
+            let k: Vec<f64> = bench.record().curvature_1pm[..8].to_vec();
+            let g = bench.cycle.governor();
+            let kk = bench.truth.curvatures();
+            let extra: Vec<String> = (0..8).map(|i| format!("{:.4},{:.4},{:.4},{:.5}", g.command()[i], k[i], kk[i], g.swing()[i])).collect();
+            let mut ref_error = 0.0;
+            if let Task::Tip { path, .. } = &scenario.task { ref_error = (g.reference_tip() - Vector3::from(path.pose_at(ahead_s.max(0.0)).0)).norm(); }
+            let extra = format!("{ref_error:.5},{},{}", g.met().held_back, g.met().given_up) + "," + &extra.join(",");
+            writeln!(file, "{now:.3},{error:.5},{estimate:.5},{distance:.5},{:.4},{:.4},{:.4},{extra}", change.sqrt(), (bench.cycle.estimated_tip()-tip_now.position).norm(), bench.cycle.governor().met().distance_min).unwrap();
+        }
+        if output.mode != Mode::Tracking {
+            let why = bench.cycle.supervisor().latch().first.map(|l| l.fault.to_string());
+            failed = format!("{:?} at {now:.2} s: {}", output.mode, why.unwrap_or_default());
+            break;
+        }
+        if let Some(why) = &bench.broken {
+            failed = format!("plant {why}");
+            break;
+        }
+    }
+    let n = count.max(1) as f64;
+    let mut curvature = f64::NAN;
+    if let Task::Shape { curvatures_1pm, .. } = &scenario.task {
+        curvature =
+            bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    }
+    format!(
+        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm, turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",
+        1e3 * sum / n,
+        1e3 * worst.0,
+        worst.1,
+        1e3 * estimate_worst,
+        turn_worst,
+        1e3 * least.0,
+        least.1,
+        (rough / n).sqrt(),
+        speed,
+        curvature
+    )
+}

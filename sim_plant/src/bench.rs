@@ -1,0 +1,127 @@
+//! The controller's cycle and the true arm in one process: no bus, no clock, no other process.
+//!
+//! For campaigns that need thousands of seconds of arm time, and for tests that look at what the true arm does. Everything
+//! on the control thread is the daemon's own ([`sinew::control::Cycle`] with observer, governor, planner, guard); what is
+//! left out is the wire.
+
+use crate::truth::{Truth, TruthSettings};
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew::config::Config;
+use sinew::control::{
+    Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
+    Settings, TargetInput, TickInputs, TickOutput,
+};
+use sinew::control::{CableMask, Record};
+use sinew::estimator::Observer;
+
+/// A controller with its arm.
+pub struct Bench {
+    /// The controller.
+    pub cycle: Cycle<Observer>,
+    /// The arm.
+    pub truth: Truth,
+    /// Target of the next tick.
+    pub target: Option<TargetInput>,
+    /// Obstacles of the next tick.
+    pub obstacles: ObstaclePair,
+    /// What the obstacles' sources ask for.
+    pub demand: ObstacleDemand,
+    /// Why the plant could not go on; it stays where it was.
+    pub broken: Option<String>,
+    /// Whether brakes hold the arm.
+    braked: bool,
+    start_n: Vec<f64>,
+    drives: DrivesPhase,
+    tick: u64,
+    period_s: f64,
+    rng: Xoshiro256PlusPlus,
+}
+
+impl Bench {
+    /// Drives off; the arm rests, straight or where [`Truth::start_at_equilibrium`] takes it.
+    pub fn new(config: &Config, settings: &Settings, truth: &TruthSettings) -> Self {
+        let period_s = config.timing.period_s;
+        let observer = Observer::new(&config.arm, &config.observer, period_s);
+        Self {
+            cycle: Cycle::new(settings, observer),
+            truth: Truth::new(&config.arm, truth),
+            target: None,
+            obstacles: ObstaclePair::new(),
+            demand: ObstacleDemand::Proceed,
+            broken: None,
+            braked: true,
+            start_n: settings.start_tensions_n.clone(),
+            drives: DrivesPhase::Off,
+            tick: 0,
+            period_s,
+            rng: Xoshiro256PlusPlus::seed_from_u64(truth.seed),
+        }
+    }
+
+    /// Time (s) of the next tick.
+    pub fn time_s(&self) -> f64 {
+        self.tick as f64 * self.period_s
+    }
+
+    /// One tick, then the arm for a period.
+    pub fn step(&mut self, request: Option<Request>) -> TickOutput {
+        self.tick += 1;
+        let now_ns = (self.time_s() * 1e9).round() as u64;
+        let cables = self.truth.lengths().len();
+        let inputs = TickInputs {
+            tick: self.tick,
+            now_ns,
+            missed: 0,
+            encoders: EncoderReadings {
+                lengths_m: self.truth.lengths(),
+                valid: CableMask::first(cables),
+                capture_ns: now_ns,
+            },
+            tensions_measured_n: &[],
+            obstacles: &self.obstacles,
+            demand: self.demand,
+            target: self.target,
+            drives: DrivesInput { phase: self.drives, ready: true, fault: None, bus_lost: None },
+            request,
+        };
+        let output = self.cycle.tick(&inputs, &mut self.rng, &mut || false);
+        self.cycle.report(&inputs);
+        let on = output.drives == DrivesCommand::On;
+        self.drives = if on { DrivesPhase::Enabled } else { DrivesPhase::Off };
+        // Brakes hold the arm where it is until the cables have their start tensions.
+        self.braked &= self.cycle.tensions_n() != self.start_n;
+        if self.braked {
+            return output;
+        }
+        if let Err(error) = self.truth.step(self.cycle.tensions_n(), self.period_s) {
+            let time_s = self.time_s();
+            self.broken.get_or_insert_with(|| format!("at {time_s:.2} s: {error}"));
+        }
+        output
+    }
+
+    /// Record of the last tick.
+    pub fn record(&mut self) -> &Record {
+        self.cycle.record_mut()
+    }
+
+    /// Arms and waits for the hold.
+    ///
+    /// # Errors
+    /// What ended it instead.
+    pub fn arm(&mut self, most_s: f64) -> Result<(), String> {
+        let mut request = Some(Request::Arm);
+        for _ in 0..(most_s / self.period_s) as usize {
+            match self.step(request.take()).mode {
+                Mode::Holding => return Ok(()),
+                Mode::Faulted => break,
+                _ => {}
+            }
+        }
+        match self.cycle.supervisor().latch().first {
+            Some(latched) => Err(format!("{}", latched.fault)),
+            None => Err("no hold".into()),
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! `[governor]`: how fast the arm may be moved by targets, however they are given, and how it gives way.
+
+use super::arm::ArmConfig;
+use super::reader::Section;
+use super::schema::{Key, Kind, Range, TableSpec};
+use serde::Serialize;
+
+/// Limits of the reference that the arm follows.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GovernorConfig {
+    /// Speed of any joint between segments and of the tip (m/s) on the way to a target.
+    pub speed_mps: f64,
+    /// Their acceleration on the way to a target that stepped (m/s^2).
+    pub acceleration_mps2: f64,
+    /// Rate of a segment's bend angle (rad/s).
+    pub bend_rate_radps: f64,
+    /// Turning of the tip (rad/s).
+    pub turn_rate_radps: f64,
+    /// Rate of a segment's bend angle while giving way to an obstacle (rad/s).
+    pub evasion_radps: f64,
+    /// Share of the distance to an obstacle, above the clearance, that may be used up per second (1/s).
+    pub approach_1ps: f64,
+    /// A pose counts as reached within this (m).
+    pub reach_m: f64,
+    /// An attitude error of 1 rad counts as a position error of this (m).
+    pub attitude_length_m: f64,
+    /// Rate at which swinging is answered (1/s); 0 for not at all.
+    pub swing_damping_1ps: f64,
+}
+
+/// Default speed and acceleration over the arm's length (1/s, 1/s^2), reach and attitude's length over it.
+const SPEED_1PS: f64 = 0.036;
+const ACCELERATION_1PS2: f64 = 0.018;
+const REACH: f64 = 0.004;
+const ATTITUDE: f64 = 0.11;
+
+const LENGTH: Kind = Kind::Float(Range::above(0.0, 100.0));
+const RATE: Kind = Kind::Float(Range::above(0.0, 100.0));
+
+/// `[governor]`.
+pub static GOVERNOR: TableSpec = TableSpec {
+    header: "[governor]",
+    name: "governor",
+    about: "What stands between a target and the arm: no target, however given, moves the arm faster than this. L is the arm's length. A step of the target becomes a smooth path in the arm's bends; where the way is blocked the arm waits.",
+    keys: &[
+        Key::optional("speed_mps", RATE, "m/s", "0.036 L per second", "Speed of the tip, and of the joints between segments."),
+        Key::optional(
+            "acceleration_mps2",
+            RATE,
+            "m/s^2",
+            "0.018 L per second squared",
+            "Their acceleration on the way to a target that stepped.",
+        ),
+        Key::default("bend_rate_radps", RATE, "rad/s", "0.3", "Rate of a segment's bend angle."),
+        Key::default("turn_rate_radps", RATE, "rad/s", "0.3", "Turning of the tip."),
+        Key::default(
+            "evasion_radps",
+            RATE,
+            "rad/s",
+            "1.5",
+            "Rate of a segment's bend angle while it gives way to an obstacle. An obstacle that comes faster is met.",
+        ),
+        Key::default(
+            "approach_1ps",
+            RATE,
+            "1/s",
+            "0.5",
+            "Share of the distance to an obstacle, above the clearance, that may be used up per second.",
+        ),
+        Key::optional(
+            "reach_m",
+            LENGTH,
+            "m",
+            "0.004 L",
+            "A target whose position the arm misses by more is out of reach: the nearest pose is approached, and `status` says so.",
+        ),
+        Key::optional(
+            "attitude_length_m",
+            LENGTH,
+            "m",
+            "0.11 L",
+            "An attitude error of 1 rad counts as a position error of this, where both cannot be had.",
+        ),
+        Key::default(
+            "swing_damping_1ps",
+            Kind::Float(Range::closed(0.0, 5.0)),
+            "1/s",
+            "1.0",
+            "Rate at which swinging that the cables do not show directly (torsion, bending inside a segment) is answered; 0 leaves it to the material.",
+        ),
+    ],
+};
+
+/// Reads `[governor]` for an arm.
+pub(super) fn read(table: &Section<'_>, arm: &ArmConfig) -> GovernorConfig {
+    let length_m = arm.length_m();
+    GovernorConfig {
+        speed_mps: table.float_opt("speed_mps").unwrap_or(SPEED_1PS * length_m),
+        acceleration_mps2: table.float_opt("acceleration_mps2").unwrap_or(ACCELERATION_1PS2 * length_m),
+        bend_rate_radps: table.float("bend_rate_radps"),
+        turn_rate_radps: table.float("turn_rate_radps"),
+        evasion_radps: table.float("evasion_radps"),
+        approach_1ps: table.float("approach_1ps"),
+        reach_m: table.float_opt("reach_m").unwrap_or(REACH * length_m),
+        attitude_length_m: table.float_opt("attitude_length_m").unwrap_or(ATTITUDE * length_m),
+        swing_damping_1ps: table.float("swing_damping_1ps"),
+    }
+}

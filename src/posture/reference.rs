@@ -1,0 +1,335 @@
+//! A posture that moves as it is told, and around obstacles.
+//!
+//! Each step solves, for the change `delta` of the mean curvatures,
+//!
+//! ```text
+//! minimise   |J delta - t|^2 (tip)  +  w |delta - drift|^2
+//! subject to n . J_p delta >= -(rate of the obstacle) h - alpha h (d - d_s)     every pair within reach
+//!            |delta| <= the evasion's rate x h
+//! ```
+//!
+//! at the equilibrium that it is at. The rows are a barrier (Ames et al. 2019): the share `alpha` of the distance that is
+//! left may be used up per second, and what the obstacle takes by its own motion is given way for. What cannot be had is
+//! given up at the price of distance, never at the price of speed.
+
+use super::rest::{POSE, RestingArm};
+use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity};
+use crate::config::{ArmConfig, BodyModel};
+use crate::math::block_tridiagonal::COORDINATES;
+use crate::math::chain::Singular;
+use crate::math::dense;
+use crate::math::quaternion::rotation_jacobians;
+use crate::model::Arm;
+use crate::planner::complementarity::{Problem, Solver, exact_price};
+use nalgebra::Vector3;
+
+/// Limits of a reference.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReferenceSettings {
+    /// Distance kept between surfaces (m).
+    pub clearance_m: f64,
+    /// Share of the distance above it that may be used up per second (1/s).
+    pub approach_1ps: f64,
+    /// Pairs farther apart than this above the clearance are not looked at (m).
+    pub reach_m: f64,
+    /// Largest rate of a bend angle when it gives way (rad/s).
+    pub evasion_radps: f64,
+    /// Largest difference of tensions that a posture may need (N).
+    pub tension_span_n: f64,
+}
+
+/// What a step is to do.
+#[derive(Debug, Clone, Copy)]
+pub struct Wanted<'a> {
+    /// Change of the mean curvatures over the step (1/m), where nothing else counts.
+    pub drift: &'a [f64],
+    /// Its weight against the tip's (m^2 per squared bend angle).
+    pub drift_weight: f64,
+    /// Change of the tip's pose over the step (m, base frame; rad, tip frame), and weights of its rows; `None` for none.
+    pub tip: Option<([f64; POSE], [f64; POSE])>,
+}
+
+/// Obstacles as a step sees them.
+#[derive(Debug, Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// At one time ...
+    pub now: &'a ObstacleSet,
+    /// ... and `span_s` later, in the same order.
+    pub ahead: &'a ObstacleSet,
+    /// Between them (s).
+    pub span_s: f64,
+    /// Time of the step's beginning after `ahead` (s).
+    pub beyond_s: f64,
+}
+
+/// What a step met.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Met {
+    /// Smallest distance of the reference (m); infinite without obstacles.
+    pub distance_min: f64,
+    /// Rows that had to be given up in part.
+    pub given_up: usize,
+    /// Largest tension that the posture needs, over what it may need.
+    pub load_max: f64,
+    /// Whether some row held the step back.
+    pub held_back: bool,
+}
+
+/// Tensions are looked at when less than this share of their range is left.
+const LOAD_NEAR: f64 = 0.3;
+/// Share of what is left of a tension's range that may be used up per second (1/s).
+const APPROACH_BOUND_1PS: f64 = 2.0;
+/// Keeps the projection of a swing regular where curvatures move hardly any mass, over the mean of the diagonal.
+const SWING_DAMPED: f64 = 1e-3;
+/// What the mean squared displacement of the arm's mass costs, over that of the tip.
+const MOTION_SHARE: f64 = 2.5e-4;
+/// What its change from one step to the next costs: accelerations make the arm swing.
+const CHANGE_SHARE: f64 = 0.04;
+/// Most pairs that a step looks at.
+const PAIRS_MAX: usize = 128;
+/// A pair that bends of this much cannot bring to the clearance (rad) is only kept from getting nearer.
+const HOPELESS_RAD: f64 = 1.5;
+
+/// The reference of one arm. [`Reference::new`] allocates, nothing else does.
+#[derive(Debug)]
+pub struct Reference {
+    settings: ReferenceSettings,
+    rest: RestingArm,
+    body: Body,
+    positions: Vec<Vector3<f64>>,
+    tangents: Vec<Vector3<f64>>,
+    rows: Vec<Proximity>,
+    solver: Solver,
+    /// Length of the segment of each curvature (m).
+    length: Vec<f64>,
+    a: Vec<f64>,
+    b: Vec<f64>,
+    low: Vec<f64>,
+    high: Vec<f64>,
+    c: Vec<f64>,
+    d: Vec<f64>,
+    price: Vec<f64>,
+    sensitivity: Vec<f64>,
+    delta: Vec<f64>,
+    next: Vec<f64>,
+    /// Mass of the arm (kg), and its distribution over the curvatures (kg m^4).
+    mass: f64,
+    inertia: Vec<f64>,
+}
+
+impl Reference {
+    /// For an arm. Allocates.
+    pub fn new(arm: &Arm, config: &ArmConfig, body_radius_m: f64, settings: &ReferenceSettings) -> Self {
+        let count = 2 * arm.segment_count();
+        let n = arm.node_count();
+        Self {
+            settings: *settings,
+            rest: RestingArm::new(arm),
+            body: Body::with_capacity(&BodyGeometry::from_arm(config), BodyModel::Arm, body_radius_m, PAIRS_MAX),
+            positions: vec![Vector3::zeros(); n + 1],
+            tangents: vec![Vector3::zeros(); n + 1],
+            rows: Vec::with_capacity(PAIRS_MAX),
+            solver: Solver::new(count, PAIRS_MAX + count),
+            length: segment_lengths(arm),
+            a: vec![0.0; count * count],
+            b: vec![0.0; count],
+            low: vec![0.0; count],
+            high: vec![0.0; count],
+            c: vec![0.0; (PAIRS_MAX + count) * count],
+            d: vec![0.0; PAIRS_MAX + count],
+            price: vec![0.0; PAIRS_MAX + count],
+            sensitivity: vec![0.0; count],
+            delta: vec![0.0; count],
+            next: vec![0.0; count],
+            mass: arm.nodes.iter().map(|node| node.mass).sum(),
+            inertia: vec![0.0; count * count],
+        }
+    }
+
+    /// The equilibrium that it is at.
+    pub fn rest(&self) -> &RestingArm {
+        &self.rest
+    }
+
+    /// The equilibrium, to start from another one.
+    pub fn rest_mut(&mut self) -> &mut RestingArm {
+        &mut self.rest
+    }
+
+    /// Change of the mean curvatures in the last step (1/m).
+    pub fn delta(&self) -> &[f64] {
+        &self.delta
+    }
+
+    /// Linearises at the present posture under tensions `u` (N); before [`Reference::step`]. Writes the swing of an arm of
+    /// coordinates `q` and mean curvatures `kappa` beside it, as the motion in curvatures that is nearest to it (1/m).
+    ///
+    /// # Errors
+    /// The static tangent is singular.
+    pub fn linearize(&mut self, u: &[f64], q: &[f64], kappa: &[f64], swing: &mut [f64]) -> Result<(), Singular> {
+        self.rest.linearize(u)?;
+        let count = swing.len();
+        self.rest.swing_into(q, kappa, &mut self.inertia, swing, &mut self.sensitivity);
+        self.a.copy_from_slice(&self.inertia);
+        let trace: f64 = (0..count).map(|i| self.inertia[i * count + i]).sum();
+        for i in 0..count {
+            self.a[i * count + i] += SWING_DAMPED * trace / count as f64;
+        }
+        if !dense::solve_in_place(count, &mut self.a, swing) {
+            swing.fill(0.0);
+        }
+        Ok(())
+    }
+
+    /// One step of `h` seconds from the last linearisation. Does not allocate.
+    pub fn step(&mut self, h: f64, wanted: &Wanted<'_>, around: Option<&Surroundings<'_>>) -> Met {
+        let count = self.delta.len();
+        let mut met = Met { distance_min: f64::INFINITY, ..Met::default() };
+        self.a.fill(0.0);
+        for i in 0..count {
+            let w = wanted.drift_weight * self.length[i] * self.length[i];
+            self.a[i * count + i] = w;
+            self.b[i] = -w * wanted.drift[i];
+            let most = self.settings.evasion_radps * h / self.length[i];
+            (self.low[i], self.high[i]) = (-most, most);
+        }
+        if wanted.tip.is_some() {
+            // Of all ways to move the tip the one that moves least mass, and changes its motion least.
+            for i in 0..count {
+                for j in 0..count {
+                    let m = self.inertia[i * count + j] / self.mass;
+                    self.a[i * count + j] += (MOTION_SHARE + CHANGE_SHARE) * m;
+                    self.b[i] -= CHANGE_SHARE * m * self.delta[j];
+                }
+            }
+        }
+        if let Some((change, weights)) = &wanted.tip {
+            for r in 0..POSE {
+                let row = &self.rest.jacobian()[r * count..(r + 1) * count];
+                for i in 0..count {
+                    let f = weights[r] * row[i];
+                    self.b[i] -= f * change[r];
+                    for j in 0..count {
+                        self.a[i * count + j] += f * row[j];
+                    }
+                }
+            }
+        }
+        let mut rows = 0;
+        if let Some(around) = around
+            && !around.ahead.is_empty()
+        {
+            rows = self.pair_rows(h, around, &mut met);
+        }
+        rows = self.tension_rows(h, rows, &mut met);
+        self.delta.copy_from_slice(wanted.drift);
+        for i in 0..count {
+            self.delta[i] = self.delta[i].clamp(self.low[i], self.high[i]);
+        }
+        let hard = exact_price(&self.a, &self.b, (0..rows).map(|r| &self.c[r * count..(r + 1) * count]));
+        self.price[..rows].fill(hard);
+        let problem = Problem {
+            a: &self.a,
+            b: &self.b,
+            lower: &self.low,
+            upper: &self.high,
+            c: &self.c[..rows * count],
+            d: &self.d[..rows],
+            price: &self.price[..rows],
+        };
+        let _ = self.solver.solve(&problem, &mut self.delta, &mut || false);
+        for r in 0..rows {
+            let multiplier = self.solver.multipliers()[r];
+            met.held_back |= multiplier > 0.0;
+            met.given_up += usize::from(multiplier >= hard * (1.0 - 1e-9));
+        }
+        for i in 0..count {
+            self.next[i] = self.rest.curvatures()[i] + self.delta[i];
+        }
+        self.rest.advance(&self.next);
+        met
+    }
+
+    /// Adds rows that keep the cables' tensions inside their box; how many rows there are then. A posture beyond it would
+    /// only be asked for: at their bounds the cables cannot answer anything else.
+    fn tension_rows(&mut self, h: f64, mut rows: usize, met: &mut Met) -> usize {
+        let count = self.delta.len();
+        for segment in 0..count / 2 {
+            let c = &mut self.c[rows * count..(rows + 1) * count];
+            let span = self.rest.tension_span_into(segment, c);
+            let room = self.settings.tension_span_n - span;
+            met.load_max = met.load_max.max(span / self.settings.tension_span_n);
+            // As a distance: the arm's whole range of tension is as long as the reach.
+            let scale = self.settings.reach_m / self.settings.tension_span_n;
+            if room < LOAD_NEAR * self.settings.tension_span_n {
+                c.iter_mut().for_each(|c| *c *= -scale);
+                self.d[rows] = scale * room * (APPROACH_BOUND_1PS * h).min(1.0);
+                rows += 1;
+            }
+        }
+        rows
+    }
+
+    /// Rows of all pairs within reach; how many.
+    fn pair_rows(&mut self, h: f64, around: &Surroundings<'_>, met: &mut Met) -> usize {
+        let count = self.delta.len();
+        let s = self.settings;
+        let q = &self.rest.state().q;
+        self.rest.arm().frames_into(q, &mut self.positions, &mut self.tangents);
+        let found = self.body.find(&self.positions, &self.tangents, around.ahead, s.clearance_m + s.reach_m);
+        met.distance_min = found.minimum;
+        self.rows.clear();
+        self.rows.extend_from_slice(&found.rows[..found.rows.len().min(PAIRS_MAX)]);
+        let mut kept = 0;
+        for row in &self.rows {
+            let now = &around.now.as_slice()[row.obstacle];
+            // What the obstacle takes of the distance by its own motion (m/s).
+            let before = now.distance(&row.position).0 - row.inflation;
+            let obstacle_rate = (row.distance - before) / around.span_s;
+            let distance = row.distance + obstacle_rate.min(0.0) * around.beyond_s;
+            let c = &mut self.c[kept * count..(kept + 1) * count];
+            c.fill(0.0);
+            let mut moved = 0.0;
+            let (n, w, i) = (row.normal, row.point.weights, row.point.element);
+            for (side, node) in [i, i + 1].into_iter().enumerate() {
+                // The base does not move.
+                if node == 0 {
+                    continue;
+                }
+                let tangent = rotation_jacobians(&self.rest.arm().pose(q, node).1)[0];
+                for k in 0..COORDINATES {
+                    let f = if k < 3 {
+                        n[k] * w[2 * side]
+                    } else {
+                        (0..3).map(|x| n[x] * tangent[(x, k - 3)]).sum::<f64>() * w[2 * side + 1]
+                    };
+                    let shift = self.rest.coordinate_into(COORDINATES * (node - 1) + k, &mut self.sensitivity);
+                    moved += f * shift;
+                    c.iter_mut().zip(&self.sensitivity).for_each(|(c, s)| *c += f * s);
+                }
+            }
+            let (kappa, origin) = (self.rest.curvatures(), self.rest.origin());
+            moved += c.iter().zip(kappa.iter().zip(origin)).map(|(c, (k, o))| c * (k - o)).sum::<f64>();
+            let margin = distance - s.clearance_m;
+            let mut d = moved + obstacle_rate.min(0.0) * h + s.approach_1ps * h * margin;
+            // In the step's box the least; in bends of HOPELESS_RAD the most.
+            let least: f64 = d - c.iter().zip(&self.high).map(|(c, high)| c.abs() * high).sum::<f64>();
+            if least > 0.0 {
+                continue;
+            }
+            let most: f64 = margin + c.iter().zip(&self.length).map(|(c, l)| c.abs() * HOPELESS_RAD / l).sum::<f64>();
+            if most < 0.0 {
+                d = d.max(0.0);
+            }
+            self.d[kept] = d;
+            kept += 1;
+        }
+        kept
+    }
+}
+
+/// Length of the segment of each mean curvature (m).
+pub fn segment_lengths(arm: &Arm) -> Vec<f64> {
+    let length = |range: &std::ops::Range<usize>| arm.elements[range.clone()].iter().map(|e| e.length).sum();
+    arm.segment_elements.iter().flat_map(|range| [length(range); 2]).collect()
+}
