@@ -314,12 +314,11 @@ fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
         ))),
         u: vec![0.0; config.arm.cable_count()],
     };
-    let (tip, shape) = (&settings.weights.tip, &settings.weights.shape);
-    let tip = shared(tip.tension, &tip.tension_change);
-    let shape = shared(shape.tension, &shape.tension_change);
-    let watched = tip.inner.clone();
+    let weights = &settings.weights.tip;
+    let planner = shared(weights.tension, &weights.tension_change);
+    let watched = planner.inner.clone();
     let observer = Observer::new(&config.arm, &settings.observer, period_s);
-    let mut cycle = Cycle::with_planners(&settings, observer, tip, shape);
+    let mut cycle = Cycle::with_planner(&settings, observer, planner);
     // The arm is the model itself: this measures time, not control.
     let arm = Arm::new(&config.arm);
     let (scheme, mut stepper) = (Scheme::new(config.arm.rho_inf), Stepper::new(&arm));

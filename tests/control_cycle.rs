@@ -169,7 +169,7 @@ fn an_innovation_beyond_its_bound_or_growing_or_lost_is_a_fault() {
     let settings = pretensioned();
     for (innovation_rad, code) in [(0.31, 30), (-0.01, 31), (f64::NAN, 34)] {
         let mirror = Mirror::new(&settings.arm).claims(innovation_rad);
-        let cycle = Cycle::with_planners(&settings, mirror, told(), told());
+        let cycle = Cycle::with_planner(&settings, mirror, told());
         let mut rig = Rig::around(cycle, &settings.arm, 1);
         rig.arm();
         rig.step(None);
@@ -195,7 +195,7 @@ fn a_start_fails_by_name_when_drives_encoders_or_observer_do_not_come() {
     assert!(matches!(no_encoder.fault(), Some(Fault::EncoderSilent { cable: 0, .. })), "{:?}", no_encoder.fault());
 
     let mirror = Mirror::new(&settings.arm).never_settles();
-    let cycle = Cycle::with_planners(&settings, mirror, told(), told());
+    let cycle = Cycle::with_planner(&settings, mirror, told());
     let mut never = Rig::around(cycle, &settings.arm, 1);
     never.ask(Request::Arm);
     never.run(210);
@@ -456,7 +456,7 @@ fn whatever_comes_in_tensions_stay_finite_and_inside_the_box() {
     for seed in 0..20 {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
         let settings = pretensioned();
-        let cycle = Cycle::with_planners(&settings, Mirror::new(&settings.arm), told(), told());
+        let cycle = Cycle::with_planner(&settings, Mirror::new(&settings.arm), told());
         let mut rig = Rig::around(cycle, &settings.arm, seed);
         for tick in 0..400 {
             let wild = |rng: &mut Xoshiro256PlusPlus| match rng.random_range(0..60) {

@@ -114,7 +114,7 @@ impl Plan for Wasteful {
 fn a_wasteful_cycle_under_the_guard() {
     let settings = settings();
     let told = || Wasteful(Told::constant(10.0));
-    let cycle = Cycle::with_planners(&settings, Mirror::new(&settings.arm), told(), told());
+    let cycle = Cycle::with_planner(&settings, Mirror::new(&settings.arm), told());
     let mut rig = Rig::around(cycle, &settings.arm, 1);
     rig.arm();
     println!("armed");

@@ -29,7 +29,7 @@ pub struct GovernorConfig {
 }
 
 /// Default speed and acceleration over the arm's length (1/s, 1/s^2), reach and attitude's length over it.
-const SPEED_1PS: f64 = 0.036;
+const SPEED_1PS: f64 = 0.04;
 const ACCELERATION_1PS2: f64 = 0.018;
 const REACH: f64 = 0.004;
 const ATTITUDE: f64 = 0.11;
@@ -43,7 +43,7 @@ pub static GOVERNOR: TableSpec = TableSpec {
     name: "governor",
     about: "What stands between a target and the arm: no target, however given, moves the arm faster than this. L is the arm's length. A step of the target becomes a smooth path in the arm's bends; where the way is blocked the arm waits.",
     keys: &[
-        Key::optional("speed_mps", RATE, "m/s", "0.036 L per second", "Speed of the tip, and of the joints between segments."),
+        Key::optional("speed_mps", RATE, "m/s", "0.04 L per second", "Speed of the tip, and of the joints between segments."),
         Key::optional(
             "acceleration_mps2",
             RATE,

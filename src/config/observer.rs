@@ -56,15 +56,15 @@ pub static OBSERVER: TableSpec = TableSpec {
             "filter_time_s",
             Kind::Float(Range::above(0.0, 10.0)),
             "s",
-            "0.3",
+            "0.1",
             "Time constant of the Maxwell damper, in place of measured rates.",
         ),
         Key::default(
             "disturbance_time_s",
             Kind::Float(Range::closed(0.3, 100.0)),
             "s",
-            "0.4",
-            "Time constant of the disturbance estimate; much faster destabilises it.",
+            "1.0",
+            "Time constant of the disturbance estimate; much faster keeps a bent arm swinging.",
         ),
         Key::default(
             "model_damping_ratio",

@@ -79,8 +79,8 @@ pub struct TargetInput {
     /// At the tick's time plus [`super::Cycle::lead_s`], where the client has told that much of its path; otherwise
     /// `now` is extrapolated by its rates.
     pub ahead: Option<Target>,
-    /// Weight of the task at the end of lookahead and lead, in place of the configured one: that of the curvatures (46), or
-    /// of the pose (42), with which the rates' weight goes. 0: the configured one.
+    /// Weight that the client gives its task, for the record. The loop's pace is the governor's: a posture that weighs less
+    /// than the changes of the tensions would be followed by a loop that lags, and swings.
     pub weight: f64,
     /// Sequence number of the point in use, for the record.
     pub sequence: u64,

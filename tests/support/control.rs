@@ -40,7 +40,7 @@ pub fn settings() -> Settings {
     };
     let observer =
         ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
-    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, config.guard)
+    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, config.governor, config.guard)
 }
 
 /// The same with a pretension: the safe value is not zero.
@@ -203,7 +203,7 @@ impl Rig<Planner> {
 
 impl Rig<Told> {
     pub fn told(settings: &Settings, told: impl Fn() -> Told) -> Self {
-        let cycle = Cycle::with_planners(settings, Mirror::new(&settings.arm), told(), told());
+        let cycle = Cycle::with_planner(settings, Mirror::new(&settings.arm), told());
         Self::around(cycle, &settings.arm, 1)
     }
 }

@@ -453,7 +453,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             Action::Home => {
                 let mut curvatures = [0.0; CURVATURES_MAX];
                 curvatures.iter_mut().zip(&self.settings.home_curvatures_1pm).for_each(|(k, home)| *k = *home);
-                Wanted::Shape { curvatures, weight: 0.0 }
+                Wanted::Shape { curvatures }
             }
             Action::Track => match self.wanted(inputs) {
                 Some(wanted) => wanted,

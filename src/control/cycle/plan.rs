@@ -13,10 +13,10 @@ use crate::posture::Surroundings;
 use nalgebra::{Vector3, Vector4};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// What a plan is made for; a weight of 0 is the configured one.
+/// What a plan is made for.
 pub(super) enum Wanted {
-    Tip { position: Vector3<f64>, quaternion: Vector4<f64>, weight: f64 },
-    Shape { curvatures: [f64; CURVATURES_MAX], weight: f64 },
+    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
+    Shape { curvatures: [f64; CURVATURES_MAX] },
     /// To come to rest and stay.
     Rest,
 }
@@ -31,9 +31,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let ahead = target.ahead.unwrap_or_else(|| target.now.extrapolated(self.lead_s));
         Some(match ahead {
             Target::Tip { position_m, quaternion, .. } => {
-                Wanted::Tip { position: position_m, quaternion: quaternion.normalize(), weight: target.weight }
+                Wanted::Tip { position: position_m, quaternion: quaternion.normalize() }
             }
-            Target::Shape { curvatures_1pm, .. } => Wanted::Shape { curvatures: curvatures_1pm, weight: target.weight },
+            Target::Shape { curvatures_1pm, .. } => Wanted::Shape { curvatures: curvatures_1pm },
         })
     }
 
@@ -47,15 +47,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     ) -> Report {
         let weights = &self.settings.weights;
         let count = 2 * self.arm.segment_count();
-        let given = |weight: f64, configured: f64| if weight > 0.0 { weight / configured } else { 1.0 };
-        let (wish, share) = match wanted {
-            Wanted::Tip { position, quaternion, weight } => {
-                (Wish::Tip { position: *position, quaternion: *quaternion }, given(*weight, weights.tip.pose))
-            }
-            Wanted::Shape { curvatures, weight } => {
-                (Wish::Shape(&curvatures[..count]), given(*weight, weights.shape.curvature))
-            }
-            Wanted::Rest => (Wish::Rest, 1.0),
+        let wish = match wanted {
+            Wanted::Tip { position, quaternion } => Wish::Tip { position: *position, quaternion: *quaternion },
+            Wanted::Shape { curvatures } => Wish::Shape(&curvatures[..count]),
+            Wanted::Rest => Wish::Rest,
         };
         let around = Surroundings {
             now: inputs.obstacles.now(),
@@ -76,7 +71,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let length = self.settings.arm.segments[0].length_m;
         let goal = Goal::Shape {
             curvatures: self.governor.command(),
-            weight: share * weights.tip.pose * POSTURE_SHARE * length * length,
+            weight: weights.tip.pose * POSTURE_SHARE * length * length,
             rate: weights.tip.rate / weights.tip.pose,
         };
         let report = self.planner.plan(
