@@ -5,7 +5,7 @@ use super::client::Which;
 use clap::Args;
 use comfy_table::{Table, presets};
 use miette::IntoDiagnostic;
-use sinew::daemon::domain_name;
+use sinew::daemon::operator::OperatorError;
 use sinew::daemon::status::{SourceStatus, StatusReport, ask};
 
 /// Arguments of `sinew status`.
@@ -20,10 +20,11 @@ pub(crate) struct Status {
 
 impl Status {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
-        let (domain, arm) = self.which.find()?;
-        let Some(report) = ask(&domain_name(&domain), &arm).into_diagnostic()? else {
-            super::complain(format_args!("sinew: {}", sinew::ipc::IpcError::NoDaemon { arm }));
-            return Ok(Outcome::Failed);
+        let found = self.which.find()?;
+        let no_daemon = || OperatorError::NoDaemon(sinew::ipc::IpcError::NoDaemon { arm: found.arm.clone() });
+        let report = match ask(&found.address).and_then(|report| report.ok_or_else(no_daemon)) {
+            Ok(report) => report,
+            Err(error) => return Ok(super::client::not_connected(&error)),
         };
         if self.json {
             super::print_text(&format!("{}\n", serde_json::to_string(&report).into_diagnostic()?))?;
@@ -65,6 +66,7 @@ fn text(r: &StatusReport) -> String {
     let d = &r.drives;
     line(format!("drives: {} of {} ready, {} enabled", d.ready, d.count, d.enabled));
     d.fault.iter().for_each(|fault| line(format!("  {fault}")));
+    d.lack.iter().for_each(|(what, count)| line(format!("  {count} of {} lack {what}", d.count)));
 
     let mut buses = table();
     buses.set_header(["bus", "state", "load computed", "measured", "limit", "frames", "lost", "unsent"]);

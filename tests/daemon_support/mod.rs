@@ -7,6 +7,7 @@ use sim_plant::rig::{Rig, Start};
 use sim_plant::server::{Served, Server};
 use sim_plant::wire::WireFault;
 use sinew::config::{BUILTIN_FILES, Config};
+use sinew::daemon::operator::{Address, OperatorError};
 use sinew::daemon::status::{StatusReport, ask};
 use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, SupervisorState, Target};
 use sinew::ipc::{Client, Domain, SourcePublisher};
@@ -28,6 +29,8 @@ pub struct Place {
     prefix: String,
     pub files: Vec<PathBuf>,
     pub domain: Domain,
+    /// Folder of the daemon's socket.
+    pub run: PathBuf,
     /// A plant and a daemon in real time need the machine for themselves.
     _turn: MutexGuard<'static, ()>,
 }
@@ -42,6 +45,7 @@ impl Place {
         let (bus, prefix) = (format!("dt-{name}"), format!("sinewdt{name}_"));
         let folder = tempfile::tempdir().unwrap();
         let root = format!("{}/ipc/", folder.path().display());
+        let run = folder.path().join("run");
         let mut files = Vec::new();
         for (file, text) in BUILTIN_FILES
             .iter()
@@ -62,10 +66,11 @@ impl Place {
             files.push(path);
         }
         let ipc = folder.path().join("ipc.toml");
-        std::fs::write(&ipc, format!("[ipc]\nprefix = \"{prefix}\"\nroot_path = \"{root}\"\n")).unwrap();
+        let places = format!("prefix = \"{prefix}\"\nroot_path = \"{root}\"\nrun_path = \"{}\"\n", run.display());
+        std::fs::write(&ipc, format!("[ipc]\n{places}")).unwrap();
         files.push(ipc);
         let domain = Domain::new(prefix.clone(), root);
-        Self { folder, bus, prefix, files, domain, _turn: turn }
+        Self { folder, bus, prefix, files, domain, run, _turn: turn }
     }
 
     pub fn shipped() -> Self {
@@ -79,7 +84,7 @@ impl Place {
     /// The program with arguments and the configuration.
     pub fn sinew(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
-        command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT");
+        command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT").env_remove("SINEW_RUN_DIR");
         command.args(arguments).arg("--config").args(&self.files);
         command
     }
@@ -111,13 +116,25 @@ impl Place {
         Client::wait_for_daemon(&self.domain, "paper", WAIT).unwrap()
     }
 
+    /// Prefix of its files in shared memory.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Where the daemon listens.
+    pub fn address(&self) -> Address {
+        Address::new(&self.domain, "paper", Some(&self.run))
+    }
+
     pub fn status(&self) -> Option<StatusReport> {
         let deadline = Instant::now() + WAIT;
         loop {
-            match ask(&sinew::daemon::domain_name(&self.domain), "paper") {
+            match ask(&self.address()) {
                 Ok(report) => return report,
                 // The main thread has no priority: on a busy machine its answer may take longer than `ask` waits.
-                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock && Instant::now() < deadline => {}
+                Err(OperatorError::Timeout { .. }) if Instant::now() < deadline => {}
+                // Ending, it hangs up on those who still wait.
+                Err(OperatorError::Garbled { .. } | OperatorError::Io { .. }) if Instant::now() < deadline => {}
                 Err(error) => panic!("status: {error}"),
             }
         }
