@@ -264,3 +264,49 @@ fn the_socket_answers_while_the_loop_and_every_other_thread_of_it_is_busy_with_n
     let (status, said) = daemon.terminate();
     assert!(status.code().is_some(), "{said}");
 }
+
+#[test]
+fn a_full_disk_ends_the_recording_and_not_the_arm_and_is_told_at_the_end() {
+    if !is_root("a full disk") || with_shared_memory("1m", "true").0 != Some(0) {
+        return;
+    }
+    let place = Place::new(|file, text| match file {
+        "drives.toml" => text + "\n[recording]\nfree_mib = 0\n",
+        _ => text,
+    });
+    let disk = place.folder.path().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let _plant = Plant::start(&place, false, &[]);
+    let files: Vec<String> = place.files.iter().map(|file| file.display().to_string()).collect();
+    let (program, disk) = (env!("CARGO_BIN_EXE_sinew"), disk.display());
+    let run = format!("exec {program} run --record {disk} --config {}", files.join(" "));
+    let script = format!("mount -t tmpfs -o size=1m tmpfs {disk} && {run}");
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "--propagation", "private", "sh", "-c", &script]).stderr(Stdio::piped());
+    let daemon = Daemon { child: command.spawn().unwrap() };
+    let recording = |s: &sinew::daemon::status::StatusReport| s.alarms.iter().any(|a| a.about == "recording");
+    place.until("the disk is full", recording);
+    place.arm();
+    let (status, said) = daemon.terminate();
+    assert_eq!(status.code(), Some(2), "{said}");
+    assert!(said.contains("recording ended early"), "{said}");
+}
+
+#[test]
+fn whoever_injects_learns_whether_it_is_taken() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    place.until("a first tick", |s| s.ticks > 0);
+    let (code, said) = finish(place.sinew(&["obstacles", "inject", "--ball", "0,0,0,1e5", "--for", "10"]));
+    assert!(code == Some(1) && said.contains("dimension out of range"), "{said}");
+    // A camera that sees nothing, and a ball under the same id.
+    let camera = Running(place.sinew(&["obstacles", "inject"]).spawn().unwrap());
+    place.until("the camera", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
+    let (code, said) = finish(place.sinew(&["obstacles", "inject", "--ball", "0.3,0,-1,0.1", "--for", "10"]));
+    assert!(code == Some(1) && said.contains("--source 182"), "{said}");
+    let beside = ["obstacles", "inject", "--ball", "0.3,0,-1,0.1", "--for", "1", "--source", "182"];
+    let (code, said) = finish(place.sinew(&beside));
+    assert!(code == Some(0) && said.contains("are taken"), "{said}");
+    drop(camera);
+}

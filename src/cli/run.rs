@@ -83,7 +83,13 @@ impl Run {
             // As the daemon does for its threads: the log's starts before them.
             leave_processor(cpu);
         }
-        let mut log = log::Queue::start();
+        let mut log = match log::Queue::start() {
+            Ok(log) => log,
+            Err(error) => {
+                complain(format_args!("sinew run: no thread can be started: {error}; see `ulimit -u`"));
+                return Ok(Outcome::Unusable);
+            }
+        };
         let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
         let claims: Result<Vec<Claim>, _> = virtual_buses.map(|bus| claim(&bus.interface, Role::Master)).collect();
         // Before the daemon's first word on the bus, which resets the drives; held to the end.

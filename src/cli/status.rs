@@ -49,6 +49,11 @@ fn text(r: &StatusReport) -> String {
         line(format!("fault {}: {}", fault.code, fault.what));
         line(format!("  what clears it: {}", fault.clears));
     }
+    // Those that have a line of their own have it.
+    for alarm in r.alarms.iter().filter(|alarm| !["fault", "real time"].contains(&alarm.about.as_str())) {
+        line(format!("alarm ({}): {}, since {}", alarm.about, alarm.what, alarm.since_utc));
+        line(format!("  what it does: {}; what clears it: {}", alarm.does, alarm.clears));
+    }
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
         "loop: {} ticks of {} ms ({clock}); deadlines missed: {} ({} left out, {} overran); {} records dropped",
@@ -66,7 +71,6 @@ fn text(r: &StatusReport) -> String {
     let d = &r.drives;
     line(format!("drives: {} of {} ready, {} enabled", d.ready, d.count, d.enabled));
     d.fault.iter().for_each(|fault| line(format!("  {fault}")));
-    d.lack.iter().for_each(|(what, count)| line(format!("  {count} of {} lack {what}", d.count)));
 
     let mut buses = table();
     buses.set_header(["bus", "state", "load computed", "measured", "limit", "frames", "lost", "unsent"]);

@@ -26,6 +26,7 @@
 //! before tick 0. With a seed a run gives the same tensions bit for bit; requests of operators fall on whatever tick they
 //! meet, so a run that shall be repeated uses [`Options::auto`].
 
+pub mod alarms;
 mod bus_thread;
 mod control_thread;
 mod deadlines;
@@ -208,6 +209,7 @@ impl Daemon {
             lockstep,
             period_s: config.timing.period_s,
             buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
+            required: config.obstacles.required.clone(),
         }));
         let progress = Arc::new(Progress::default());
         let mut daemon = {
@@ -347,6 +349,7 @@ impl Daemon {
                 self.stop();
             }
             self.notice_panics();
+            self.shared.watch(self.recording_failed.load(Ordering::Acquire));
             let asked = self.serve();
             beat(self.ticks());
             if asked {

@@ -289,7 +289,7 @@ mod tests {
     #[test]
     fn a_drive_is_told_to_permit_no_more_than_the_arms_largest_tension() {
         // Its own limit is 1000 per mille: 233 N.
-        for (most_n, permille) in [(220.0, 942), (105.0, 450), (233.3, 1000)] {
+        for (most_n, permille) in [(220.0, 942), (105.0, 450), (233.3, 999)] {
             let config = config(|c| c.arm.tension_n_max = most_n);
             let limit = master_config(&config).unwrap().drives[0].torque_permille_max;
             assert_eq!(limit, permille, "{most_n} N");

@@ -3,6 +3,7 @@
 //! Shared memory carries the record of every tick; percentiles, buses, rights and sources over the whole run are for
 //! people and dashboards, and come from here. One connection, one report, closed.
 
+use super::alarms::{Alarm, Alarms, Seen};
 use super::operator::{Address, OperatorError, Said, Word};
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
@@ -106,6 +107,8 @@ pub struct StatusReport {
     pub mode: String,
     /// The latched fault.
     pub fault: Option<FaultStatus>,
+    /// What is wrong now, the fault among it.
+    pub alarms: Vec<Alarm>,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -149,6 +152,8 @@ pub(crate) struct Fixed {
     pub(crate) period_s: f64,
     /// Name, computed load, limit.
     pub(crate) buses: Vec<(String, f64, f64)>,
+    /// Obstacle sources that must be there.
+    pub(crate) required: Vec<u32>,
 }
 
 /// What is set now and then.
@@ -179,6 +184,8 @@ pub(crate) struct Shared {
     fixed: Fixed,
     inner: Mutex<Inner>,
     ticks: Mutex<Ticks>,
+    /// The main thread's own; under a lock only because a report may be asked for by others.
+    alarms: Mutex<Alarms>,
 }
 
 /// Ticks whose times are kept while a report is made; a report that takes longer loses the rest.
@@ -224,7 +231,7 @@ impl TickNotes {
 
 impl Shared {
     pub(crate) fn new(fixed: Fixed) -> Self {
-        Self { fixed, inner: Mutex::default(), ticks: Mutex::default() }
+        Self { fixed, inner: Mutex::default(), ticks: Mutex::default(), alarms: Mutex::default() }
     }
 
     /// A thread that panicked leaves numbers, which are as good as any.
@@ -248,6 +255,20 @@ impl Shared {
 
     pub(crate) fn set_recorder(&self, dropped: Arc<std::sync::atomic::AtomicU64>) {
         self.lock().recording_dropped = Some(dropped);
+    }
+
+    /// Looks at what is wrong now, and tells of what has changed; for the main thread, some times a second.
+    pub(crate) fn watch(&self, recording_failed: bool) {
+        let state = self.ticks.lock().unwrap_or_else(PoisonError::into_inner).state.clone();
+        let (drives, realtime_refused) = {
+            let inner = self.lock();
+            (inner.drives.clone(), inner.realtime_refused.clone())
+        };
+        let state = state.as_deref();
+        let fault = state.and_then(|s| fault_status(s.fault_code, s.fault_detail, drives.fault.as_deref()));
+        let (required, realtime_refused) = (&self.fixed.required[..], &realtime_refused[..]);
+        let seen = Seen { state, fault, drives, required, realtime_refused, recording_failed };
+        self.alarms.lock().unwrap_or_else(PoisonError::into_inner).update(&seen);
     }
 
     /// The report as of now.
@@ -287,6 +308,7 @@ impl Shared {
             lockstep: fixed.lockstep,
             mode: mode_text(state.supervisor).into(),
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
+            alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,
@@ -403,7 +425,7 @@ mod tests {
     #[test]
     fn a_report_comes_back_as_it_was() {
         let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
-        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses }));
+        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses, ..Fixed::default() }));
         let mut state = State {
             header: Header { tick: 41, ..Header::default() },
             fault_code: 20,

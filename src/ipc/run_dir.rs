@@ -37,7 +37,9 @@ fn of_user(uid: u32) -> PathBuf {
 /// [`IpcError::Foreign`], which says what is wrong with it.
 pub(crate) fn check(folder: &Path, owners: &[u32]) -> Result<u32, IpcError> {
     let foreign = |why: String| IpcError::Foreign { path: folder.to_path_buf(), why };
-    let there = fs::symlink_metadata(folder).map_err(|e| foreign(e.to_string()))?;
+    // With a slash at its end a link would be followed.
+    let bare: PathBuf = folder.components().collect();
+    let there = fs::symlink_metadata(&bare).map_err(|e| foreign(e.to_string()))?;
     if there.file_type().is_symlink() {
         return Err(foreign("it is a symbolic link".into()));
     }
@@ -135,7 +137,9 @@ mod tests {
         assert!(why(make(&at("new"))).contains("others may write to it (mode 777)"));
         fs::set_permissions(at("new"), fs::Permissions::from_mode(0o755)).unwrap();
         symlink(at("new"), at("link")).unwrap();
-        assert_eq!(why(make(&at("link"))), "it is a symbolic link");
+        for link in ["link", "link/"] {
+            assert_eq!(why(make(&at(link))), "it is a symbolic link");
+        }
         fs::write(at("file"), "").unwrap();
         assert_eq!(why(make(&at("file"))), "it is no folder");
         assert!(why(make(&at("no/where"))).contains("cannot be made"));

@@ -5,6 +5,7 @@ use sim_plant::config::PlantConfig;
 use sim_plant::fault::{FaultSpec, Schedule};
 use sim_plant::rig::{Rig, Start};
 use sim_plant::server::{Served, Server};
+use sim_plant::trace::Trace;
 use sim_plant::wire::WireFault;
 use sinew::config::{BUILTIN_FILES, Config};
 use sinew::daemon::operator::{Address, OperatorError};
@@ -236,6 +237,16 @@ impl Drop for Daemon {
     }
 }
 
+/// A client as a process; killed at the end.
+pub struct Running(pub Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// The plant on a thread of this process.
 pub struct Plant {
     stop: Arc<AtomicBool>,
@@ -250,6 +261,21 @@ impl Plant {
 
     /// The same with faults on the wire.
     pub fn start_on(place: &Place, lockstep: bool, faults: &[&str], wire: &[&str]) -> Self {
+        Self::launch(place, lockstep, faults, wire, None)
+    }
+
+    /// In real time, with the true arm written to a file.
+    pub fn start_traced(place: &Place, faults: &[&str], wire: &[&str], trace: &std::path::Path) -> Self {
+        Self::launch(place, false, faults, wire, Some(trace))
+    }
+
+    fn launch(
+        place: &Place,
+        lockstep: bool,
+        faults: &[&str],
+        wire: &[&str],
+        trace: Option<&std::path::Path>,
+    ) -> Self {
         let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
         settings.truth.seed = 7;
         if lockstep {
@@ -259,8 +285,9 @@ impl Plant {
         let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.truth.seed).unwrap();
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
         let wire: Vec<WireFault> = wire.iter().map(|f| f.parse().unwrap()).collect();
-        let server =
-            Server::open(&config, &settings, rig, schedule, None).unwrap().with_wire_faults(wire, settings.truth.seed);
+        let seed = settings.truth.seed;
+        let trace = trace.map(|path| Trace::create(path, "paper", &rig, settings.pace, seed).unwrap());
+        let server = Server::open(&config, &settings, rig, schedule, trace).unwrap().with_wire_faults(wire, seed);
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
         let thread = std::thread::spawn(move || server.run(&flag).unwrap());

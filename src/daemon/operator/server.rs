@@ -246,6 +246,13 @@ impl Desk {
         if !ended && line.len() == guest.line.len() && line.len() < LINE_BYTES_MAX {
             return if guest.since.elapsed() > PATIENCE { Next::Goes } else { Next::Stays };
         }
+        // What is left unread would take the answer along when the connection is closed.
+        let mut rest = [0; 4096];
+        for _ in 0..16 {
+            if !matches!(guest.stream.read(&mut rest), Ok(1..)) {
+                break;
+            }
+        }
         let Some(word) = Word::ALL.into_iter().find(|word| line.trim_ascii() == word.text().as_bytes()) else {
             tell(&guest.stream, &Said::Refused("expected a line with stop, hold, disarm or status".into()));
             return Next::Goes;
