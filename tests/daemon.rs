@@ -350,7 +350,8 @@ fn a_rust_and_a_python_client_feed_a_running_daemon_at_the_same_time() {
 fn tensions_of(place: &Place, ticks: u64, mut meanwhile: impl FnMut(u64)) -> Vec<Vec<u64>> {
     let _plant = Plant::start(place, true, &[]);
     let ticks_text = ticks.to_string();
-    let arguments = ["--lockstep", "--arm-on-start", "--await-obstacles", "11", "--await-target", "--ticks", &ticks_text];
+    let arguments =
+        ["--lockstep", "--arm-on-start", "--await-obstacles", "11", "--await-target", "--ticks", &ticks_text];
     let mut daemon = place.daemon(&arguments);
     let mut client = TickClient::new(place);
     let mut tensions = Vec::new();

@@ -101,7 +101,8 @@ fn what_a_process_left_unfinished_in_shared_memory_is_removed() {
     let place = Place::shipped();
     let _plant = Plant::start(&place, false, &[]);
     let daemon = place.daemon(&[]);
-    let management = in_shared_memory(&place).into_iter().find(|p| p.to_string_lossy().ends_with(".global_mgmt")).unwrap();
+    let management =
+        in_shared_memory(&place).into_iter().find(|p| p.to_string_lossy().ends_with(".global_mgmt")).unwrap();
     let (terminated, said) = daemon.terminate();
     assert!(terminated.success(), "{said}");
     // As left by a process that died between making it and giving it a size, at the domain's next start.

@@ -186,13 +186,15 @@ impl Fate {
         let report = state.obstacle_sources.iter().find(|s| s.source_id == self.source && s.health != unused);
         let (accepted, rejected) = report.map_or((0, [0; REJECT_CAUSES]), |r| (r.accepted, r.rejected));
         let crowded = state.obstacle_sources_refused;
-        let (first_accepted, first_rejected, first_crowded) =
-            *self.before.get_or_insert((accepted, rejected, crowded));
+        let (first_accepted, first_rejected, first_crowded) = *self.before.get_or_insert((accepted, rejected, crowded));
         let cause = rejected.iter().zip(first_rejected).position(|(now, first)| *now >= first + REFUSED_MIN);
         if let Some(cause) = cause.and_then(|c| RejectCause::from_wire(c as u32)) {
             return Some(match cause {
                 RejectCause::TooManySources => {
-                    format!("another process publishes under this id; choose another: --source {}", self.source.wrapping_add(1))
+                    format!(
+                        "another process publishes under this id; choose another: --source {}",
+                        self.source.wrapping_add(1)
+                    )
                 }
                 cause => cause.text().to_owned(),
             });

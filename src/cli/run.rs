@@ -3,9 +3,9 @@
 use super::{Outcome, complain, log};
 use clap::Args;
 use miette::IntoDiagnostic;
+use rustix::process::Signal;
 use sinew::config::{BusKind, Config};
 use sinew::daemon::{AutoRequests, Daemon, DaemonError, Ending, Heart, LockstepOptions, Options};
-use rustix::process::Signal;
 use sinew_hal::bus_error;
 use sinew_hal::realtime::leave_processor;
 use sinew_hal::virtual_bus::{Claim, Role, claim};

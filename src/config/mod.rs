@@ -65,12 +65,16 @@ use std::path::PathBuf;
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
 /// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &ACCESS, &RECORDING];
+pub static TABLES: &[&TableSpec] = &[
+    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &ACCESS,
+    &RECORDING,
+];
 
 /// What the daemon's files may hold.
-static KNOWN_TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &ACCESS, &RECORDING, &PLANT];
+static KNOWN_TABLES: &[&TableSpec] = &[
+    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &ACCESS,
+    &RECORDING, &PLANT,
+];
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -150,6 +154,20 @@ impl Config {
             let most = timing.period_s - timing.reserve_s;
             planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
         }
-        Self { arm, timing, planner, weights, observer, friction, guard, obstacles, target, drives, ipc, access, recording }
+        Self {
+            arm,
+            timing,
+            planner,
+            weights,
+            observer,
+            friction,
+            guard,
+            obstacles,
+            target,
+            drives,
+            ipc,
+            access,
+            recording,
+        }
     }
 }

@@ -128,7 +128,8 @@ fn of_source(source: &SourceReport, required: &[u32]) -> Option<Alarm> {
         SourceHealth::Expired => Some(alarm(about, "the source is too old", HOLDS, gone)),
         SourceHealth::Refused => {
             let causes = source.rejected.iter().zip(0..).filter(|(count, _)| **count > 0).max();
-            let cause = causes.and_then(|(_, cause)| RejectCause::from_wire(cause)).map_or("unknown", RejectCause::text);
+            let cause =
+                causes.and_then(|(_, cause)| RejectCause::from_wire(cause)).map_or("unknown", RejectCause::text);
             let clears = "the source is mended, or `sinew clear` if it is gone";
             Some(alarm(about, format!("every set is refused: {cause}"), HOLDS, clears))
         }

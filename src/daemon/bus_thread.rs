@@ -4,7 +4,9 @@
 //! Enters: frames of every bus, the control thread's wish. Leaves: `encoders` in shared memory, the drives' state for
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
-use super::drive_causes::{HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text};
+use super::drive_causes::{
+    HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
+};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
 use crate::config::{BusConfig, BusKind, Config};
@@ -12,8 +14,8 @@ use crate::control::{DrivesInput, DrivesPhase};
 use crate::ipc::SourcePublisher;
 use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
-use sinew_hal::canopen::{Message, NodeId};
 use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
+use sinew_hal::canopen::{Message, NodeId};
 use sinew_hal::cia402::objects::{EVENT_TIMER, GUARD, RPDO_COMMUNICATION, TORQUE_SLOPE};
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
 use sinew_hal::clock::{Naps, monotonic_ns};
@@ -318,9 +320,14 @@ impl BusThread {
         if message == Some(Message::Heartbeat(self.master_node)) {
             self.lines[bus].own_heartbeats += 1;
             // This handle hears the master's own too.
-            if self.lines[bus].own_heartbeats > self.master.heartbeats() + OWN_HEARTBEATS && self.id_taken_on.is_none() {
+            if self.lines[bus].own_heartbeats > self.master.heartbeats() + OWN_HEARTBEATS && self.id_taken_on.is_none()
+            {
                 let node = self.master_node.get();
-                tracing::error!(bus, node, "another node has sinew's own node id: its heartbeats would keep drives alive");
+                tracing::error!(
+                    bus,
+                    node,
+                    "another node has sinew's own node id: its heartbeats would keep drives alive"
+                );
                 self.id_taken_on = Some(bus);
             }
         }

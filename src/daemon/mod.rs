@@ -238,7 +238,8 @@ impl Daemon {
         let mut declared = config.obstacles.required.clone();
         declared.extend(sources.obstacles.iter().filter(|id| !config.obstacles.required.contains(id)));
         let segments = config.arm.segments.len();
-        let (inputs, outputs, ends, direct) = channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
+        let (inputs, outputs, ends, direct) =
+            channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
         let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
         let recorder = match &options.record {
             Some(path) => {
@@ -373,11 +374,7 @@ impl Daemon {
 
     /// Looks at the threads beside the control thread, whose end [`Self::wait`] sees anyway.
     fn notice_panics(&mut self) {
-        let beside = [
-            ("sinew-bus", &mut self.bus),
-            ("sinew-io", &mut self.io),
-            ("sinew-operator", &mut self.operator),
-        ];
+        let beside = [("sinew-bus", &mut self.bus), ("sinew-io", &mut self.io), ("sinew-operator", &mut self.operator)];
         for (name, thread) in beside {
             if let Some(ended) = thread.take_if(|thread| thread.is_finished())
                 && ended.join().is_err()

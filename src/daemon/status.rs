@@ -425,7 +425,13 @@ mod tests {
     #[test]
     fn a_report_comes_back_as_it_was() {
         let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
-        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses, ..Fixed::default() }));
+        let shared = Arc::new(Shared::new(Fixed {
+            arm: "arm".into(),
+            lockstep: true,
+            period_s: 0.01,
+            buses,
+            ..Fixed::default()
+        }));
         let mut state = State {
             header: Header { tick: 41, ..Header::default() },
             fault_code: 20,
@@ -445,7 +451,9 @@ mod tests {
             text
         });
         assert!(server.serve(&shared));
-        let Said::Status(report) = serde_json::from_slice(&asking.join().unwrap()).unwrap() else { panic!("no report") };
+        let Said::Status(report) = serde_json::from_slice(&asking.join().unwrap()).unwrap() else {
+            panic!("no report")
+        };
         let report = *report;
         let threads = |report: StatusReport| StatusReport { threads: Vec::new(), ..report };
         assert_eq!(threads(report.clone()), threads(shared.report()), "threads go on meanwhile");

@@ -173,7 +173,8 @@ pub(crate) fn within<T: Send + 'static>(
     match result.recv_timeout(limit) {
         Ok(result) => result,
         Err(mpsc::RecvTimeoutError::Timeout) => {
-            let why = format!("it was not set up within {} s; is there a file of 0 bytes in /dev/shm?", limit.as_secs());
+            let why =
+                format!("it was not set up within {} s; is there a file of 0 bytes in /dev/shm?", limit.as_secs());
             Err(IpcError::Unusable { why })
         }
         Err(mpsc::RecvTimeoutError::Disconnected) => {
@@ -223,9 +224,9 @@ impl Domain {
         }
         let own = run_dir::make(&self.root).and_then(|()| {
             let below = ["nodes", "services"].map(|name| self.root.join(name)).into_iter();
-            below.filter(|folder| folder.symlink_metadata().is_ok()).try_for_each(|folder| {
-                run_dir::check(&folder, &[geteuid().as_raw()]).map(drop)
-            })
+            below
+                .filter(|folder| folder.symlink_metadata().is_ok())
+                .try_for_each(|folder| run_dir::check(&folder, &[geteuid().as_raw()]).map(drop))
         });
         own.map_err(|error| match error {
             IpcError::Foreign { path, why } => {

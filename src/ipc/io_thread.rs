@@ -134,7 +134,20 @@ impl<T: Tap> IoThread<T> {
         let encoders = ends.encoders.input_buffer_mut().clone();
         let open = Vec::with_capacity(OPEN_REQUESTS_MAX);
         let last = (SupervisorState::Disarmed.wire(), 0, 0);
-        Self { ports, ends, limits, obstacles, target, encoders, open, next_ticket: 0, last, port_errors: 0, told: Told::default(), tap }
+        Self {
+            ports,
+            ends,
+            limits,
+            obstacles,
+            target,
+            encoders,
+            open,
+            next_ticket: 0,
+            last,
+            port_errors: 0,
+            told: Told::default(),
+            tap,
+        }
     }
 
     /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.

@@ -1,8 +1,8 @@
 //! Writing: directly (open-loop runs), or through a thread of its own (the daemon, the simulated plant).
 
-use super::files::{Bounds, Files};
 use super::RecordingError;
 use super::cdr::{Fields, encode, encode_into, schema};
+use super::files::{Bounds, Files};
 use crate::ipc::payload::{Obstacles, SCHEMA_VERSION, State, Target};
 use crate::ipc::{Event, Tap, service_name};
 use mcap::records::{MessageHeader, Metadata};
@@ -358,9 +358,7 @@ fn write_all<W: Write + Seek>(
     // The ring's end goes with this thread: after an error every message counts as dropped.
     let written = write();
     let finished = recording.take().map_or(Ok(()), |recording| recording.finish().map(drop));
-    written
-        .and(finished)
-        .inspect_err(|error| tracing::error!(%error, "recording ended early"))
+    written.and(finished).inspect_err(|error| tracing::error!(%error, "recording ended early"))
 }
 
 impl Tap for Recorder {

@@ -61,7 +61,7 @@ const fn by_root(name: &'static str, expect: Expect, does: fn(&mut Trial)) -> Cl
 }
 
 const fn wire(name: &'static str, expect: Expect, wire: &'static [&'static str]) -> Class {
-    Class { wire, waits_s: 1.0, ..class(name, expect, nothing) }
+    Class { wire, waits_s: 2.5, ..class(name, expect, nothing) }
 }
 
 const fn drive(name: &'static str, expect: Expect, drives: &'static [&'static str]) -> Class {
@@ -104,7 +104,10 @@ pub static CLASSES: &[Class] = &[
         stranger_script(t, "for i in $(seq 100); do \"$SINEW\" stop; done");
     }),
     by_root("stranger makes files of our prefix", Expect::GoesOn, |t| {
-        stranger_script(t, "for i in a b c; do : > /dev/shm/${PREFIX}$i.data; : > /dev/shm/${PREFIX}$i.node_monitor; done");
+        stranger_script(
+            t,
+            "for i in a b c; do : > /dev/shm/${PREFIX}$i.data; : > /dev/shm/${PREFIX}$i.node_monitor; done",
+        );
     }),
     by_root("stranger cuts files of shared memory", Expect::GoesOn, |t| {
         stranger_script(t, "for f in /dev/shm/${PREFIX}*; do case $f in *global_mgmt) ;; *) : > $f;; esac; done");
@@ -116,7 +119,10 @@ pub static CLASSES: &[Class] = &[
         stranger_script(t, "rm -f /dev/shm/sinew-bus-$BUS; : > /dev/shm/sinew-bus-$BUS");
     }),
     by_root("stranger takes the locks", Expect::GoesOn, |t| {
-        stranger_script(t, "flock /dev/shm sleep 2 & flock \"$FOLDER/run\" sleep 2 & flock \"$FOLDER/run/turn\" sleep 2");
+        stranger_script(
+            t,
+            "flock /dev/shm sleep 2 & flock \"$FOLDER/run\" sleep 2 & flock \"$FOLDER/run/turn\" sleep 2",
+        );
     }),
     by_root("stranger sends signals", Expect::GoesOn, |t| {
         stranger_script(t, "for s in TERM KILL STOP INT XFSZ; do kill -$s $DAEMON; done");
@@ -133,15 +139,15 @@ pub static CLASSES: &[Class] = &[
     class("silent connections", Expect::GoesOn, |t| flood(t, b"", 300)),
     class("flood of requests", Expect::Safe, flood_of_requests),
     // The wire.
-    wire("1 % of frames lost", Expect::Safe, &["drop=0.01"]),
-    wire("10 % of frames lost", Expect::Safe, &["drop=0.1"]),
-    wire("frames doubled", Expect::Safe, &["duplicate=0.2"]),
-    wire("frames corrupted", Expect::Safe, &["corrupt=0.01"]),
-    wire("frames in another order", Expect::Safe, &["reorder=0.1"]),
-    wire("SYNC lost for 200 ms", Expect::Safe, &["drop:sync@2-2.2"]),
-    wire("torques lost for 2 s", Expect::Safe, &["drop:rpdo@2-4"]),
-    wire("heartbeats lost", Expect::Safe, &["drop:heartbeat@2"]),
-    wire("the master is not heard", Expect::Safe, &["drop:master@2"]),
+    wire("1 % of frames lost", Expect::Safe, &["drop=0.01@3"]),
+    wire("10 % of frames lost", Expect::Safe, &["drop=0.1@3"]),
+    wire("frames doubled", Expect::Safe, &["duplicate=0.2@3"]),
+    wire("frames corrupted", Expect::Safe, &["corrupt=0.01@3"]),
+    wire("frames in another order", Expect::Safe, &["reorder=0.1@3"]),
+    wire("SYNC lost for 200 ms", Expect::Safe, &["drop:sync@3-3.2"]),
+    wire("torques lost for 2 s", Expect::Safe, &["drop:rpdo@3-5"]),
+    wire("heartbeats lost", Expect::Safe, &["drop:heartbeat@3"]),
+    wire("the master is not heard", Expect::Safe, &["drop:master@3"]),
     // Drives.
     drive("a drive trips", Expect::Faults, &["trip:5@3"]),
     drive("a drive dies", Expect::Faults, &["dead:5@3"]),
@@ -151,15 +157,23 @@ pub static CLASSES: &[Class] = &[
     drive("an encoder jumps", Expect::Safe, &["jump:5:0.02@3"]),
     class("another node with the master's id", Expect::Faults, same_node_id),
     // Sources.
-    class("source with stamps of the wall clock", Expect::Holds, |t| source(t, |_, k| (1_700_000_000_000_000_000 + k, ball()))),
-    class("source with a radius of 0", Expect::Holds, |t| source(t, |now, _| (now, Obstacle::ball(1, [0.3, 0.0, -1.0], 0.0)))),
-    class("source with NaN", Expect::Holds, |t| source(t, |now, _| (now, Obstacle::ball(1, [f64::NAN, 0.0, -1.0], 0.1)))),
+    class("source with stamps of the wall clock", Expect::Holds, |t| {
+        source(t, |_, k| (1_700_000_000_000_000_000 + k, ball()))
+    }),
+    class("source with a radius of 0", Expect::Holds, |t| {
+        source(t, |now, _| (now, Obstacle::ball(1, [0.3, 0.0, -1.0], 0.0)))
+    }),
+    class("source with NaN", Expect::Holds, |t| {
+        source(t, |now, _| (now, Obstacle::ball(1, [f64::NAN, 0.0, -1.0], 0.1)))
+    }),
     class("source from the past", Expect::Holds, |t| source(t, |now, _| (now - 60_000_000_000, ball()))),
     class("nine sources", Expect::Holds, nine_sources),
     class("another process under the camera's id", Expect::GoesOn, impostor),
     class("a thousand sets a second", Expect::Safe, fast_source),
     class("source that comes and leaves", Expect::GoesOn, coming_and_leaving),
-    class("ball that appears on the arm", Expect::Safe, |t| source(t, |now, _| (now, Obstacle::ball(1, [0.0, 0.0, -1.5], 0.05)))),
+    class("ball that appears on the arm", Expect::Safe, |t| {
+        source(t, |now, _| (now, Obstacle::ball(1, [0.0, 0.0, -1.5], 0.05)))
+    }),
     // Requests.
     class("unknown requests", Expect::GoesOn, unknown_requests),
     class("target that is no number", Expect::GoesOn, bad_target),

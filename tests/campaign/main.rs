@@ -4,7 +4,7 @@
 //! follow its path, does what the class says at a moment drawn from the seed, lets time pass, and orders a stop over the
 //! arm's socket. Then the true arm is asked: it touched nothing, no drum was told a tension outside the box, and in the end
 //! none pulls. The short form, a trial of some classes, is a test; `tests/campaign/run` does all of them.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)]
 
 mod classes;
 #[path = "../daemon_support/mod.rs"]
@@ -35,14 +35,28 @@ const HANG: Duration = Duration::from_secs(20);
 
 /// Everything of one trial, for a class to lay hands on.
 pub struct Trial {
+    /// Files, names, configuration.
     pub place: Place,
+    /// Of the trial's seed.
     pub rng: Xoshiro256PlusPlus,
+    /// The client that sends the ball.
     pub camera: Option<Child>,
+    /// The daemon.
     pub daemon: Child,
     /// Ends with the trial.
     pub helpers: Vec<Child>,
     task: Task,
     said: PathBuf,
+}
+
+impl Drop for Trial {
+    /// Also where the trial itself failed: nobody stays.
+    fn drop(&mut self) {
+        for child in self.helpers.iter_mut().chain(self.camera.as_mut()).chain([&mut self.daemon]) {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
 }
 
 impl Trial {
@@ -173,10 +187,11 @@ fn trial(class: &Class, seed: u64) -> Found {
         Err(_) if class.expect == Expect::Gone => {}
         other => found.wrong.push(format!("stop: {other:?}")),
     }
-    end(trial, class, &mut found);
+    end(&mut trial, class, &mut found);
     // The ramp, or the drives' own guards, have had their time.
     plant.stop();
     judge(&trace, &config, &mut found);
+    drop(trial);
     let fits = match (class.expect, found.mode.as_deref()) {
         (Expect::GoesOn, mode) => mode == Some("tracking"),
         (Expect::Holds, mode) => mode == Some("holding"),
@@ -186,13 +201,17 @@ fn trial(class: &Class, seed: u64) -> Found {
         (Expect::Safe, _) => true,
     };
     if !fits {
-        found.wrong.push(format!("declared: {:?}, found: {}", class.expect, found.mode.as_deref().unwrap_or("no daemon")));
+        found.wrong.push(format!(
+            "declared: {:?}, found: {}",
+            class.expect,
+            found.mode.as_deref().unwrap_or("no daemon")
+        ));
     }
     found
 }
 
 /// Waits until drives are off, ends all processes, and looks at how they ended.
-fn end(mut trial: Trial, class: &Class, found: &mut Found) {
+fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
     let deadline = Instant::now() + HANG;
     loop {
         match trial.place.address().ask(Word::Status, Duration::from_secs(5)) {
@@ -291,7 +310,14 @@ fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
             continue;
         }
         let own = seed.wrapping_mul(1_000_003).wrapping_add(number as u64);
-        let found = trial(class, own);
+        let tried = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| trial(class, own)));
+        let found = tried.unwrap_or_else(|panic| {
+            let text = panic.downcast_ref::<String>().map_or("a panic without words", String::as_str);
+            Found {
+                wrong: vec![format!("the trial itself: {}", text.chars().take(1000).collect::<String>())],
+                ..Found::default()
+            }
+        });
         let row = rows.entry(class.name).or_default();
         row.0 += 1;
         row.2.extend(found.stop_ms);
@@ -301,7 +327,9 @@ fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
             eprintln!("FAILED {}", failed[failed.len() - 1]);
         }
     }
-    let mut table = String::from("| class | declared | trials | failed | stop answered, worst (ms) | over 100 ms |\n|---|---|---|---|---|---|\n");
+    let mut table = String::from(
+        "| class | declared | trials | failed | stop answered, worst (ms) | over 100 ms |\n|---|---|---|---|---|---|\n",
+    );
     for class in classes {
         let Some((trials, failures, stops)) = rows.get(class.name) else { continue };
         let worst = stops.iter().fold(0.0f64, |a, b| a.max(*b));

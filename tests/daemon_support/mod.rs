@@ -269,13 +269,7 @@ impl Plant {
         Self::launch(place, false, faults, wire, Some(trace))
     }
 
-    fn launch(
-        place: &Place,
-        lockstep: bool,
-        faults: &[&str],
-        wire: &[&str],
-        trace: Option<&std::path::Path>,
-    ) -> Self {
+    fn launch(place: &Place, lockstep: bool, faults: &[&str], wire: &[&str], trace: Option<&std::path::Path>) -> Self {
         let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
         settings.truth.seed = 7;
         if lockstep {

@@ -238,13 +238,7 @@ fn offset(setup: &Setup, first_sync: Option<u64>, records: &[Record], truths: &[
 
 /// The offset, where both recordings are without a gap and the drums had what was commanded: all of it, or where frames
 /// were lost on purpose most of it, and more than half.
-fn aligned(
-    offset: u64,
-    records: &[Record],
-    truths: &[Truth],
-    steps: &[f64],
-    disturbed: bool,
-) -> miette::Result<u64> {
+fn aligned(offset: u64, records: &[Record], truths: &[Truth], steps: &[f64], disturbed: bool) -> miette::Result<u64> {
     let count = tracked(records);
     let Some(first) = records.first().filter(|_| count > 0) else { return Err(miette!("nothing was tracked")) };
     let syncs = first.tick + offset;
@@ -255,7 +249,10 @@ fn aligned(
     for (place, record) in records[..count].iter().enumerate() {
         let tick = record.tick;
         if tick != first.tick + place as u64 {
-            return Err(miette!("the daemon's recording has tick {tick} where {} was to be", first.tick + place as u64));
+            return Err(miette!(
+                "the daemon's recording has tick {tick} where {} was to be",
+                first.tick + place as u64
+            ));
         }
         // A plant that is stopped first has no state after the last ticks.
         let Some(truth) = truths.get(begin + place) else { break };
@@ -279,7 +276,9 @@ fn aligned(
         }
     }
     if 2 * arrived <= most {
-        return Err(miette!("less than half of the commands reached the drives: the recordings cannot be laid together"));
+        return Err(miette!(
+            "less than half of the commands reached the drives: the recordings cannot be laid together"
+        ));
     }
     Ok(offset)
 }
@@ -485,7 +484,14 @@ mod tests {
 
     #[test]
     fn what_does_not_meet_tick_by_tick_is_not_judged() {
-        assert!(refused(|_, t| t.insert(8, Truth { tensions: vec![58.0, 52.0], nodes: Vec::new(), curvatures: Vec::new(), ..t[8] }), false).contains("SYNC 108 where 109"));
+        assert!(
+            refused(
+                |_, t| t
+                    .insert(8, Truth { tensions: vec![58.0, 52.0], nodes: Vec::new(), curvatures: Vec::new(), ..t[8] }),
+                false
+            )
+            .contains("SYNC 108 where 109")
+        );
         assert!(refused(|_, t| drop(t.remove(9)), false).contains("SYNC 110 where 109"));
         assert!(refused(|r, _| drop(r.remove(4)), false).contains("tick 10 where 9"));
         assert!(refused(|_, t| drop(t.drain(..6)), false).contains("lacks the SYNC 105"));

@@ -184,6 +184,9 @@ pub struct Address {
     given: Option<PathBuf>,
 }
 
+/// What a daemon says, with its user.
+pub type Heard = (u32, Result<Said, OperatorError>);
+
 /// A daemon that was found.
 struct Line {
     stream: UnixStream,
@@ -199,9 +202,9 @@ impl Address {
         } else {
             // FNV-1a, so that every pair of prefix and root path has a short name of its own.
             let name = super::domain_name(domain);
-            let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-                (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-            });
+            let hash = name
+                .bytes()
+                .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
             format!("control-{hash:016x}")
         };
         Self { arm: arm.to_owned(), file, given: run_dir(configured) }
@@ -217,11 +220,7 @@ impl Address {
     ///
     /// # Errors
     /// [`OperatorError`] where none is found; what went wrong with one that was found stands in its place.
-    pub fn ask_all(
-        &self,
-        word: Word,
-        timeout: Duration,
-    ) -> Result<Vec<(u32, Result<Said, OperatorError>)>, OperatorError> {
+    pub fn ask_all(&self, word: Word, timeout: Duration) -> Result<Vec<Heard>, OperatorError> {
         let deadline = Instant::now() + timeout;
         let mut lines = self.find(deadline)?;
         let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.ask(word)).collect();

@@ -277,7 +277,10 @@ impl Desk {
 fn refuse(stream: &UnixStream, peer: &Peer, what: &str) {
     let user = user_text(peer.uid);
     tracing::debug!(uid = peer.uid, pid = peer.pid, what, "refused");
-    tell(stream, &Said::Refused(format!("user {user} may not ask for {what} (`[access]` of the daemon's configuration)")));
+    tell(
+        stream,
+        &Said::Refused(format!("user {user} may not ask for {what} (`[access]` of the daemon's configuration)")),
+    );
 }
 
 /// An answer that the control thread did not give.

@@ -35,7 +35,14 @@ pub struct InputLimits {
 impl Default for InputLimits {
     /// Three frames of a 30 Hz camera until stale, half a second until hold.
     fn default() -> Self {
-        Self { stale_after_s: 0.1, hold_after_s: 0.5, growth_mps: 0.1, growth_m_max: 1.0, sigma_multiple: 3.0, future_tolerance_s: 0.005 }
+        Self {
+            stale_after_s: 0.1,
+            hold_after_s: 0.5,
+            growth_mps: 0.1,
+            growth_m_max: 1.0,
+            sigma_multiple: 3.0,
+            future_tolerance_s: 0.005,
+        }
     }
 }
 

@@ -346,10 +346,8 @@ impl ObstacleTable {
         for (slot, report) in self.slots.iter().zip(&mut state.obstacle_sources) {
             *report = if slot.used { slot.log.report(now_ns, limits) } else { Default::default() };
             let health = slot.log.health(now_ns, limits);
-            state.stale_sources += u64::from(matches!(
-                health,
-                SourceHealth::Stale | SourceHealth::Expired | SourceHealth::Refused
-            ));
+            state.stale_sources +=
+                u64::from(matches!(health, SourceHealth::Stale | SourceHealth::Expired | SourceHealth::Refused));
         }
         state.obstacle_sources_refused = self.sources_refused;
     }
@@ -358,8 +356,8 @@ impl ObstacleTable {
 /// Growth of an obstacle whose set has an age (s).
 fn growth_by_age_m(o: &Obstacle, age_s: f64, limits: &InputLimits) -> f64 {
     let speed = o.velocity_mps.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let growth = limits.growth_mps * (age_s - limits.stale_after_s).max(0.0)
-        + speed * (age_s - limits.hold_after_s).max(0.0);
+    let growth =
+        limits.growth_mps * (age_s - limits.stale_after_s).max(0.0) + speed * (age_s - limits.hold_after_s).max(0.0);
     growth.min(limits.growth_m_max)
 }
 

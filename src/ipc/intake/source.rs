@@ -28,7 +28,15 @@ pub struct SourceLog {
 impl SourceLog {
     /// A source that was not heard yet.
     pub const fn new(source_id: u32) -> Self {
-        Self { source_id, last: None, accepted: 0, rejected: [0; REJECT_CAUSES], refused: false, publisher: 0, gone: false }
+        Self {
+            source_id,
+            last: None,
+            accepted: 0,
+            rejected: [0; REJECT_CAUSES],
+            refused: false,
+            publisher: 0,
+            gone: false,
+        }
     }
 
     /// Checks version, time and sequence of a header; changes nothing.
