@@ -311,3 +311,19 @@ fn whoever_injects_learns_whether_it_is_taken() {
     assert!(code == Some(0) && said.contains("are taken"), "{said}");
     drop(camera);
 }
+
+#[test]
+fn too_few_open_files_are_told_as_such() {
+    let place = Place::shipped();
+    let files: Vec<String> = place.files.iter().map(|file| file.display().to_string()).collect();
+    for limit in [8, 14, 24] {
+        let run = format!("ulimit -n {limit}; exec {} run --config {}", env!("CARGO_BIN_EXE_sinew"), files.join(" "));
+        let mut command = Command::new("sh");
+        command.args(["-c", &run]);
+        let (code, said) = finish(command);
+        assert_eq!(code, Some(2), "{limit}: {said}");
+        assert!(said.contains("ulimit -n") || said.contains("os error 24"), "{limit}: {said}");
+        // What a start that fails half way cannot remove is removed by the next.
+        place.domain.sweep();
+    }
+}

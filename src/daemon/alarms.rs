@@ -48,6 +48,8 @@ impl Alarms {
         for alarm in &mut raised {
             match self.0.iter().find(|known| known.about == alarm.about && known.what == alarm.what) {
                 Some(known) => alarm.since_utc.clone_from(&known.since_utc),
+                // Said at the start.
+                None if alarm.about == REAL_TIME => {}
                 None => tracing::warn!(about = alarm.about, does = alarm.does, clears = alarm.clears, "{}", alarm.what),
             }
         }
@@ -75,6 +77,7 @@ fn alarm(about: impl Into<String>, what: impl Into<String>, does: &str, clears: 
     }
 }
 
+const REAL_TIME: &str = "real time";
 const HOLDS: &str = "the arm holds, and may not track";
 
 fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
@@ -103,7 +106,7 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
         list.push(alarm("drives", what, "nothing; it is accepted (`drives.accept_without`)", "other drives"));
     }
     for refused in seen.realtime_refused {
-        list.push(alarm("real time", refused.clone(), "deadlines may be missed", "grant it and start anew"));
+        list.push(alarm(REAL_TIME, refused.clone(), "deadlines may be missed", "grant it and start anew"));
     }
     if seen.recording_failed {
         let clears = "make room, and start anew; the log has the cause";

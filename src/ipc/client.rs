@@ -1,7 +1,7 @@
 //! The clients' side of the services: perception, tasks, operators, viewers, other sensors.
 
 use super::IpcError;
-use super::domain::{Domain, Ipc, SET_UP, Session, within};
+use super::domain::{Domain, Ipc, SET_UP, Session, cause, within};
 use super::payload::{Encoders, Header, Obstacles, Request, RequestKind, Response, State, Target};
 use super::ports::{lives, port_error, send, subscribe};
 use super::service::{self, Message};
@@ -38,7 +38,7 @@ impl Client {
     /// [`IpcError::NoDaemon`] if none runs for the arm, [`IpcError::IncompatiblePayload`] if it is of another version.
     pub fn connect(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
         let (domain, arm) = (domain.clone(), arm.to_owned());
-        within(SET_UP, move || Self::set_up(&domain, &arm))
+        within(SET_UP, move || Self::set_up(&domain, &arm)).map_err(cause)
     }
 
     fn set_up(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
@@ -89,7 +89,8 @@ impl Client {
         let port = within(SET_UP, move || {
             let topic = service::open::<T>(&session, &arm)?;
             topic.publisher_builder().create().map_err(|e| port_error(e, &arm, T::SERVICE, "publisher"))
-        })?;
+        })
+        .map_err(cause)?;
         Ok(SourcePublisher { port, source_id, sequence: 0, _session: self.session.clone() })
     }
 
@@ -111,7 +112,7 @@ impl Client {
     /// A subscriber of any of the publish-subscribe services; sees the newest message of each publisher.
     pub fn subscriber<T: Message>(&self) -> Result<NewestSubscriber<T>, IpcError> {
         let (session, arm) = (self.session.clone(), self.arm.clone());
-        let port = within(SET_UP, move || subscribe(&service::open::<T>(&session, &arm)?, &arm))?;
+        let port = within(SET_UP, move || subscribe(&service::open::<T>(&session, &arm)?, &arm)).map_err(cause)?;
         Ok(NewestSubscriber { port, _session: self.session.clone() })
     }
 

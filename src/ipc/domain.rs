@@ -203,15 +203,23 @@ fn check_room(folder: &FsPath) -> Result<(), IpcError> {
     }
 }
 
-/// What keeps a node from being made, where it can be found out.
-fn cause(error: IpcError) -> IpcError {
-    match File::open("/dev/null") {
-        Err(e) if [Some(24), Some(23)].contains(&e.raw_os_error()) => {
-            IpcError::Unusable { why: "no file descriptor is left; see `ulimit -n`".into() }
-        }
-        _ => check_room(FsPath::new(SHARED_MEMORY)).err().unwrap_or(error),
+/// What keeps something from being set up, where it can be found out: iceoryx2 has one word for all of it.
+pub(crate) fn cause(error: IpcError) -> IpcError {
+    if !matches!(error, IpcError::Port { .. }) {
+        return error;
     }
+    let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    let none_left = File::open("/dev/null").is_err_and(|e| [Some(24), Some(23)].contains(&e.raw_os_error()));
+    if none_left || files.is_some_and(|files| files < FILES) {
+        let limit = files.map_or("no".to_owned(), |files| files.to_string());
+        let why = format!("{error}; no file descriptor is left (limit {limit}, `ulimit -n`; {FILES} are enough)");
+        return IpcError::Unusable { why };
+    }
+    check_room(FsPath::new(SHARED_MEMORY)).err().unwrap_or(error)
 }
+
+/// Open files with which a daemon with all its clients gets by.
+const FILES: u64 = 1024;
 
 impl Domain {
     /// Refuses a root path that is not this user's own: whoever owns it decides which services there are, and a process of

@@ -1,7 +1,7 @@
 //! The daemon's side of the services.
 
 use super::IpcError;
-use super::domain::{Domain, Ipc, SET_UP, Session, within};
+use super::domain::{Domain, Ipc, SET_UP, Session, cause, within};
 use super::payload::{Encoders, Obstacles, Request, Response, State, Target};
 use super::service::{self, Message, Topic, service_name};
 use iceoryx2::active_request::ActiveRequest;
@@ -53,7 +53,7 @@ impl DaemonPorts {
     /// [`IpcError::AlreadyRunning`] if a living process serves the arm, otherwise what iceoryx2 reports.
     pub fn create(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
         let (domain, arm) = (domain.clone(), arm.to_owned());
-        within(SET_UP, move || Self::set_up(&domain, &arm))
+        within(SET_UP, move || Self::set_up(&domain, &arm)).map_err(cause)
     }
 
     fn set_up(domain: &Domain, arm: &str) -> Result<Self, IpcError> {

@@ -2,7 +2,7 @@
 //!
 //! Each class has a name and a declared outcome. A trial of it starts a plant, a daemon, a camera and a task, lets the arm
 //! follow its path, does what the class says at a moment drawn from the seed, lets time pass, and orders a stop over the
-//! arm's socket. Then the true arm is asked: it touched nothing, no drum was told a tension outside the box, and in the end
+//! arm's socket. Then the true arm is asked: it touched nothing while its cables were tight, no drum was told a tension outside the box, and in the end
 //! none pulls. The short form, a trial of some classes, is a test; `tests/campaign/run` does all of them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)]
 
@@ -269,7 +269,7 @@ fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
     let _ = std::fs::remove_dir_all(trial.place.folder.path().join("ipc"));
 }
 
-/// The true arm: no contact, no tension outside, nothing pulls in the end.
+/// The true arm: no contact while all cables are tight, no tension outside, nothing pulls in the end.
 fn judge(trace: &Path, config: &Config, found: &mut Found) {
     let (centre, radius) = BALL;
     let body_m = config.planner.body_radius_m;
@@ -278,8 +278,14 @@ fn judge(trace: &Path, config: &Config, found: &mut Found) {
         let v = &message.value;
         let tensions = v["tension_command_n"].as_array().into_iter().flatten().filter_map(|t| t.as_f64());
         last = 0.0;
+        // Below the box's lower end cables go slack: the arm swings as it is, and what it meets is not the controller's doing.
+        let mut held = true;
         for tension in tensions {
             (most, least, last) = (most.max(tension), least.min(tension), f64::max(last, tension));
+            held &= tension > 0.99 * config.arm.tension_n_min;
+        }
+        if !held {
+            return;
         }
         for node in v["nodes"].as_array().into_iter().flatten() {
             let p: Vec<f64> = node["position_m"].as_array().into_iter().flatten().filter_map(|x| x.as_f64()).collect();
