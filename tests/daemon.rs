@@ -346,6 +346,41 @@ fn a_rust_and_a_python_client_feed_a_running_daemon_at_the_same_time() {
     place.until("both go on", both(50));
 }
 
+#[test]
+fn another_node_with_sinews_own_id_is_told_and_nothing_is_armed() {
+    let place = Place::new(|file, text| match file {
+        "drives.toml" => text.replace("[drives]\n", "[drives]\nmaster_node_id = 99\n"),
+        _ => text,
+    });
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    place.until("drives ready", |s| s.drives.ready == s.drives.count && s.drives.count > 0);
+    // The daemon's own heartbeats are none of another's, however many.
+    place.until("some heartbeats", |s| s.ticks > 100);
+    assert_eq!(place.status().unwrap().drives.fault, None);
+    let mut bus = VirtualBus::open(&place.bus, false).unwrap();
+    let beat = sinew_hal::can::Frame::classic(Id::Standard(0x700 + 99), &[5]).unwrap();
+    (0..10).for_each(|_| bus.send(&beat).unwrap());
+    let report = place.until("the conflict", |s| s.drives.fault.is_some());
+    assert!(report.drives.fault.unwrap().contains("sinew's own node id"));
+    let (code, said) = place.operate(&["arm"]);
+    assert!(code == Some(1) && said.contains("not ready"), "{said}");
+}
+
+#[test]
+fn drives_of_another_vendor_than_configured_are_not_used() {
+    let place = Place::new(|file, text| match file {
+        "drives.toml" => text
+            .replace("vendor_id = 0", "vendor_id = 154")
+            .replace("[drives]\n", "[drives]\naccept_without = [\"sync_guard\"]\n"),
+        _ => text,
+    });
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    let report = place.until("refused", |s| s.drives.fault.is_some());
+    assert!(report.drives.fault.unwrap().contains("configuration failed") && report.drives.ready == 0);
+}
+
 /// Bits of the tensions of a run in lockstep whose client does something in between.
 fn tensions_of(place: &Place, ticks: u64, mut meanwhile: impl FnMut(u64)) -> Vec<Vec<u64>> {
     let _plant = Plant::start(place, true, &[]);

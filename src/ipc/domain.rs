@@ -122,12 +122,15 @@ impl Domain {
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Longest wait for one's turn; a process that was stopped while it had the turn does not stop the others.
 const TURN: Duration = Duration::from_millis(500);
-/// Age beyond which a file that is not finished belongs to nobody any more. Finishing one takes microseconds.
-const DEAD: Duration = Duration::from_millis(300);
+/// Age beyond which a file that is not finished belongs to nobody any more. Finishing one takes microseconds, and on a busy
+/// machine as long as its maker has no processor.
+const DEAD: Duration = Duration::from_secs(3);
+/// The same for the file that a node is made by: whoever has the turn makes none.
+const DEAD_NODE: Duration = Duration::from_millis(300);
 /// Longest that iceoryx2 may take to set something up. It waits without end for some of what dead processes leave.
-pub(crate) const SET_UP: Duration = Duration::from_secs(5);
+pub(crate) const SET_UP: Duration = Duration::from_secs(20);
 /// Of which for the node.
-const NODE: Duration = Duration::from_secs(4);
+const NODE: Duration = Duration::from_secs(15);
 /// Room that a daemon and its clients need in shared memory (bytes), with a margin.
 const ROOM: u64 = 4 << 20;
 
@@ -250,9 +253,9 @@ impl Domain {
 
     /// Removes what processes that died while making it left in shared memory: without a size or without the owner's right
     /// to read, it is waited for without end. What others left, and this process cannot remove, is told.
-    fn remove_unfinished(&self) -> Result<(), IpcError> {
+    fn remove_unfinished(&self, has_turn: bool) -> Result<(), IpcError> {
         let uid = geteuid().as_raw();
-        let deadline = Instant::now() + 2 * DEAD;
+        let deadline = Instant::now() + DEAD + DEAD_NODE;
         loop {
             let mut young = false;
             let Ok(entries) = std::fs::read_dir(SHARED_MEMORY) else { return Ok(()) };
@@ -265,8 +268,11 @@ impl Domain {
                     continue;
                 }
                 let changed = SystemTime::UNIX_EPOCH + Duration::new(there.ctime() as u64, there.ctime_nsec() as u32);
-                if changed.elapsed().is_ok_and(|age| age < DEAD) {
-                    young = true;
+                // Only this one is waited for by whoever makes a node.
+                let of_nodes = entry.file_name().to_string_lossy().ends_with(".global_mgmt");
+                let dead = if of_nodes && has_turn { DEAD_NODE } else { DEAD };
+                if changed.elapsed().is_ok_and(|age| age < dead) {
+                    young |= of_nodes;
                     continue;
                 }
                 if [there.uid(), 0].contains(&uid) {
@@ -305,11 +311,11 @@ impl Session {
             value: name.into(),
             why: format!("{e:?}"),
         })?;
-        let _turn = turn();
+        let turn = turn();
         domain.check_root()?;
         check_room(FsPath::new(SHARED_MEMORY))?;
         check_room(&domain.root)?;
-        domain.remove_unfinished()?;
+        domain.remove_unfinished(turn.is_some())?;
         let name = name.to_owned();
         let create = move || {
             NodeBuilder::new()
@@ -321,6 +327,7 @@ impl Session {
                 .map_err(|e| cause(IpcError::port("creating the node", &name, e)))
         };
         let node = within(NODE, create)?;
+        drop(turn);
         Ok(Arc::new(Self { node: Some(node), domain: domain.clone() }))
     }
 
