@@ -343,7 +343,7 @@ fn judge(trace: &Path, config: &Config, until: &Until, found: &mut Found) {
 
 /// Runs trials of classes, round after round, and writes a table; the failures.
 fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
-    let mut rows: BTreeMap<&str, (usize, usize, Vec<f64>)> = BTreeMap::new();
+    let mut rows = Rows::new();
     let mut failed = Vec::new();
     for number in 0..trials {
         let class = classes[number % classes.len()];
@@ -369,7 +369,20 @@ fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
             failed.push(format!("{} (--class {} --seed {own}): {}", class.name, class.name, found.wrong.join("; ")));
             eprintln!("FAILED {}", failed[failed.len() - 1]);
         }
+        // After each, so that one that is broken off has what it found.
+        if let Some(path) = std::env::var_os("SINEW_CAMPAIGN_TABLE") {
+            std::fs::write(path, table(classes, &rows, failed.len(), seed)).unwrap();
+        }
     }
+    let table = table(classes, &rows, failed.len(), seed);
+    println!("{table}");
+    failed
+}
+
+/// Of each class: trials, failed ones, and how long a stop took to be answered (ms).
+type Rows<'a> = BTreeMap<&'a str, (usize, usize, Vec<f64>)>;
+
+fn table(classes: &[&Class], rows: &Rows<'_>, failed: usize, seed: u64) -> String {
     let mut table = String::from(
         "| class | declared | trials | failed | stop answered, worst (ms) | over 100 ms |\n|---|---|---|---|---|---|\n",
     );
@@ -386,12 +399,8 @@ fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
         );
     }
     let all: usize = rows.values().map(|row| row.0).sum();
-    let _ = writeln!(table, "\n{all} trials of {} classes, {} failed, seed {seed}.", rows.len(), failed.len());
-    println!("{table}");
-    if let Some(path) = std::env::var_os("SINEW_CAMPAIGN_TABLE") {
-        std::fs::write(path, &table).unwrap();
-    }
-    failed
+    let _ = writeln!(table, "\n{all} trials of {} classes, {} failed, seed {seed}.", rows.len(), failed);
+    table
 }
 
 fn number(variable: &str) -> Option<u64> {
