@@ -49,12 +49,14 @@ pub fn utc_text(seconds: u64) -> String {
     format!("{year:04}{month:02}{day:02}T{:02}{:02}{:02}Z", rest / 3600, rest / 60 % 60, rest % 60)
 }
 
-/// Makes a file that must not be there yet.
+/// Makes a file that must not be there yet. What is no file, a pipe or a device, holds nothing that could be lost.
 ///
 /// # Errors
 /// It is there, or cannot be made.
 pub(super) fn make(path: &Path) -> Result<File, RecordingError> {
-    File::create_new(path).map_err(|source| {
+    let no_file = fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir());
+    let made = if no_file { File::options().write(true).open(path) } else { File::create_new(path) };
+    made.map_err(|source| {
         let source = match source.kind() {
             io::ErrorKind::AlreadyExists => {
                 io::Error::new(source.kind(), "the file is there already; give another name, or a folder")
