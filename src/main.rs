@@ -9,11 +9,18 @@ mod cli;
 
 fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
+    let filter = match std::env::var("SINEW_LOG") {
+        Ok(text) if !text.is_empty() => match text.parse::<tracing_subscriber::EnvFilter>() {
+            Ok(filter) => filter,
+            Err(error) => {
+                cli::complain(format_args!("SINEW_LOG={text}: {error}; expected e.g. info or sinew::daemon=debug"));
+                return cli::Outcome::Unusable.into();
+            }
+        },
+        _ => tracing_subscriber::EnvFilter::new("warn"),
+    };
     tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_env("SINEW_LOG")
-                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
-        )
+        .with_env_filter(filter)
         .with_writer(cli::log::writer)
         .with_ansi(std::io::stderr().is_terminal())
         .init();

@@ -4,13 +4,22 @@
 use serde_json::Value;
 use std::process::{Command, Output, Stdio};
 
+/// The program, as one who has set nothing for an arm of his own.
+fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+    for variable in ["SINEW_IPC_PREFIX", "SINEW_IPC_ROOT", "SINEW_RUN_DIR", "SINEW_LOG"] {
+        command.env_remove(variable);
+    }
+    command
+}
+
 fn sinew(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_sinew")).args(arguments).output().unwrap()
+    program().args(arguments).output().unwrap()
 }
 
 /// The same with standard output and standard error elsewhere; the exit code.
 fn sinew_into(arguments: &[&str], stdout: Stdio, stderr: Stdio) -> Option<i32> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+    let mut command = program();
     command.args(arguments).stdout(stdout).stderr(stderr).status().unwrap().code()
 }
 
@@ -161,7 +170,7 @@ fn a_reader_that_has_gone_is_no_error_and_a_full_disk_is_one() {
     for arguments in [&["plan", path.as_str()][..], &["plan", &path, "--json"], &check] {
         assert_eq!(sinew_into(arguments, closed_pipe(), Stdio::null()), Some(0), "{arguments:?}");
         let full = std::fs::File::create("/dev/full").unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+        let mut command = program();
         let output = command.args(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         let message = text(&output.stderr);
@@ -257,4 +266,43 @@ fn every_field_of_the_json_is_documented() {
     for field in &found {
         assert!(document.contains(&format!("`{field}`")), "{field} is not in src/report/SCRIPTS.md");
     }
+}
+
+#[test]
+fn what_the_environment_says_wrongly_is_told() {
+    for (variable, value, told) in
+        [("SINEW_LOG", "sinew=loud,,=", "SINEW_LOG="), ("SINEW_IPC_ROOT", "rel/", "starts with /")]
+    {
+        let output = program().env(variable, value).args(["home"]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains(told), "{variable}: {said}");
+    }
+    let files = ["arm", "controller", "drives"].map(|name| format!("config/{name}.toml"));
+    let check = program().env("SINEW_IPC_PREFIX", "other_").args(["check", "--config"]).args(files).output().unwrap();
+    assert!(String::from_utf8_lossy(&check.stdout).contains("prefix other_"), "as `run` has it");
+}
+
+#[test]
+fn twenty_thousand_mistakes_are_counted_and_not_all_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("many.toml");
+    std::fs::write(&file, (0..20_000).map(|n| format!("[t{n}]\n")).collect::<String>()).unwrap();
+    let output = sinew(&["check", "--config", file.to_str().unwrap()]);
+    // Lines are broken anywhere.
+    let said = String::from_utf8_lossy(&output.stderr).replace(['\n', '│'], " ");
+    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(said.contains("the first 50 are"), "{}", said.chars().take(400).collect::<String>());
+    assert!(said.len() < 200_000, "{} bytes", said.len());
+}
+
+#[test]
+fn a_recording_replaces_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("plan.mcap");
+    std::fs::write(&out, "precious").unwrap();
+    let output = sinew(&["plan", "tip", "--out", out.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("there already"));
+    assert_eq!(std::fs::read_to_string(&out).unwrap(), "precious");
 }

@@ -317,16 +317,6 @@ fn commands_without_a_daemon_say_so() {
     assert!(said.contains("expected 7"), "{said}");
 }
 
-/// A client's process, stopped when the test ends.
-struct Running(std::process::Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn a_rust_and_a_python_client_feed_a_running_daemon_at_the_same_time() {
     use std::process::{Command, Stdio};
@@ -354,4 +344,101 @@ fn a_rust_and_a_python_client_feed_a_running_daemon_at_the_same_time() {
     let first = place.until("both clients heard", both(1));
     assert!(first.obstacles.iter().any(|o| o.id == 2), "{first:#?}");
     place.until("both go on", both(50));
+}
+
+#[test]
+fn another_node_with_sinews_own_id_is_told_and_nothing_is_armed() {
+    let place = Place::new(|file, text| match file {
+        "drives.toml" => text.replace("[drives]\n", "[drives]\nmaster_node_id = 99\n"),
+        _ => text,
+    });
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    place.until("drives ready", |s| s.drives.ready == s.drives.count && s.drives.count > 0);
+    // The daemon's own heartbeats are none of another's, however many.
+    place.until("some heartbeats", |s| s.ticks > 100);
+    assert_eq!(place.status().unwrap().drives.fault, None);
+    let mut bus = VirtualBus::open(&place.bus, false).unwrap();
+    let beat = sinew_hal::can::Frame::classic(Id::Standard(0x700 + 99), &[5]).unwrap();
+    (0..10).for_each(|_| bus.send(&beat).unwrap());
+    let report = place.until("the conflict", |s| s.drives.fault.is_some());
+    assert!(report.drives.fault.unwrap().contains("sinew's own node id"));
+    let (code, said) = place.operate(&["arm"]);
+    assert!(code == Some(1) && said.contains("not ready"), "{said}");
+}
+
+#[test]
+fn drives_of_another_vendor_than_configured_are_not_used() {
+    let place = Place::new(|file, text| match file {
+        "drives.toml" => text
+            .replace("vendor_id = 0", "vendor_id = 154")
+            .replace("[drives]\n", "[drives]\naccept_without = [\"sync_guard\"]\n"),
+        _ => text,
+    });
+    let _plant = Plant::start(&place, false, &[]);
+    let _daemon = place.daemon(&[]);
+    let report = place.until("refused", |s| s.drives.fault.is_some());
+    assert!(report.drives.fault.unwrap().contains("configuration failed") && report.drives.ready == 0);
+}
+
+/// Bits of the tensions of a run in lockstep whose client does something in between.
+fn tensions_of(place: &Place, ticks: u64, mut meanwhile: impl FnMut(u64)) -> Vec<Vec<u64>> {
+    let _plant = Plant::start(place, true, &[]);
+    let ticks_text = ticks.to_string();
+    let arguments =
+        ["--lockstep", "--arm-on-start", "--await-obstacles", "11", "--await-target", "--ticks", &ticks_text];
+    let mut daemon = place.daemon(&arguments);
+    let mut client = TickClient::new(place);
+    let mut tensions = Vec::new();
+    client.run(
+        |state| state.header.tick + 1 == ticks,
+        |state| {
+            assert_eq!(state.header.tick, tensions.len() as u64, "no tick is left out");
+            tensions.push(state.tension_command_n[..24].iter().map(|t| t.to_bits()).collect());
+            meanwhile(state.header.tick);
+        },
+    );
+    drop(client);
+    let (status, said) = daemon.finish();
+    assert_eq!(status.code(), Some(0), "{said}");
+    tensions
+}
+
+#[test]
+fn in_lockstep_a_client_without_a_processor_changes_nothing_however_long_it_takes() {
+    let place = Place::shipped();
+    let undisturbed = tensions_of(&place, 120, |_| {});
+    // Longer than anything in real time is waited for.
+    let starved = tensions_of(&place, 120, |tick| {
+        if tick == 60 {
+            std::thread::sleep(Duration::from_secs(7));
+        }
+    });
+    assert_eq!(undisturbed, starved);
+}
+
+#[test]
+fn in_lockstep_a_client_that_is_gone_is_not_waited_for_and_one_that_comes_back_is() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, true, &[]);
+    let _daemon = place.daemon(&["--lockstep", "--await-obstacles", "11", "--await-target"]);
+    let mut client = TickClient::new(&place);
+    client.run(|state| state.header.tick >= 20, |_| {});
+    drop(client);
+    let alone = place.until("goes on alone", |s| s.ticks > 60).ticks;
+    // Back, and slower than the loop: once it is heard no tick is missed.
+    let mut client = TickClient::new(&place);
+    let (mut last, mut in_a_row) = (alone, 0);
+    let deadline = Instant::now() + WAIT;
+    let waited_for = std::cell::Cell::new(false);
+    client.run(
+        |_| waited_for.get(),
+        |state| {
+            in_a_row = if state.header.tick == last + 1 { in_a_row + 1 } else { 0 };
+            last = state.header.tick;
+            waited_for.set(in_a_row == 50);
+            assert!(Instant::now() < deadline, "the loop does not wait for it: tick {last}");
+            std::thread::sleep(Duration::from_millis(3));
+        },
+    );
 }

@@ -200,15 +200,21 @@ fn the_service_unit_gives_what_the_daemon_asks_for() {
     assert_eq!((value("Type"), value("NotifyAccess")), ("notify", "main"));
     assert!(value("LimitRTPRIO").parse::<u8>().unwrap() >= config.timing.priority);
     assert_eq!(value("LimitMEMLOCK"), "infinity");
-    // The rule that lets the unit's user bound the wake-up latency; the unit itself shuts no device out.
+    // The rule that lets the unit's user bound the wake-up latency; the unit lets that one device through.
     let rule = format!(r#"KERNEL=="cpu_dma_latency", GROUP="{}", MODE="0660""#, value("User"));
     assert!(unit.lines().any(|line| line.trim_start_matches(['#', ' ']) == rule), "{rule}");
     // The daemon's threads leave `loop.cpu` by themselves; without it, all of them would share what is named here.
     assert_eq!(config.timing.cpu, None);
     assert!(!unit.lines().any(|line| line.starts_with("CPUAffinity=")));
-    for shut in ["DevicePolicy=", "DeviceAllow=", "PrivateDevices="] {
+    assert_eq!((value("DevicePolicy"), value("DeviceAllow")), ("closed", "/dev/cpu_dma_latency rw"));
+    // What would take away what it needs: devices, scheduling, CAN, shared memory with its clients.
+    for shut in ["PrivateDevices=", "RestrictRealtime=", "PrivateNetwork=", "PrivateIPC=", "PrivateUsers="] {
         assert!(!unit.lines().any(|line| line.starts_with(shut)), "{shut}");
     }
+    assert_eq!(value("RestrictAddressFamilies"), "AF_UNIX AF_CAN");
+    // The arm's socket, and iceoryx2's files where clients outside of the unit's own /tmp find them.
+    assert_eq!((value("RuntimeDirectory"), value("RuntimeDirectoryMode")), ("sinew", "0755"));
+    assert!(value("Environment").starts_with("SINEW_IPC_ROOT=/run/sinew/"));
     // The main thread looks every 50 ms and pings at a third of the time.
     assert!(seconds("WatchdogSec") / 3.0 >= 0.1);
     // A hang that is noticed later than the drives notice it is no danger to the arm.

@@ -86,7 +86,7 @@ impl Daemon {
         now: impl Fn() -> u64 + Send + 'static,
     ) -> Self {
         let ports = DaemonPorts::create(domain, ARM).unwrap();
-        let (inputs, outputs, ends) = channels(24, 4, &[], ChannelCapacity::default());
+        let (inputs, outputs, ends, _) = channels(24, 4, &[], ChannelCapacity::default());
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
         let thread = std::thread::spawn(move || IoThread::new(ports, ends, limits(), tap).run(pace, &flag, now));
@@ -427,7 +427,44 @@ fn rejected_sets_are_counted_and_reported() {
     let found = report(&mut daemon);
     assert_eq!(found.source_id, 7);
     assert_eq!(found.rejected[RejectCause::NotFinite.wire() as usize], 1);
-    assert_eq!(daemon.inputs.obstacles().demand(monotonic_ns(), &limits().obstacles), ObstacleDemand::Proceed);
+    let demand = daemon.inputs.obstacles().demand(monotonic_ns(), &limits().obstacles);
+    assert_eq!(demand, ObstacleDemand::Hold { source_id: 7 }, "somebody sees something, and nobody knows what");
+    daemon.stop();
+}
+
+#[test]
+fn a_source_id_belongs_to_the_port_that_has_it_until_that_is_gone() {
+    let isolated = Isolated::new();
+    let mut daemon = Daemon::start(&isolated.domain, Pace::default());
+    let camera = spawn_rust_client(&isolated.domain, 7, 200.0);
+    daemon.until("the camera", |inputs| inputs.obstacles().log(7).is_some_and(|log| log.accepted > 0));
+    // Another process under the same id is refused, however new what it says.
+    let client = Client::connect(&isolated.domain, ARM).unwrap();
+    let mut impostor = client.obstacles(7).unwrap();
+    let rejected = |d: &mut Daemon| {
+        d.inputs.update();
+        d.inputs.obstacles().log(7).unwrap().rejected[RejectCause::TooManySources.wire() as usize]
+    };
+    let deadline = Instant::now() + WAIT;
+    while rejected(&mut daemon) < 3 {
+        assert!(Instant::now() < deadline, "never refused");
+        impostor.publish(&mut Obstacles::default(), monotonic_ns()).unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!(Daemon::sources(&daemon.inputs).first(), Some(&7), "what the camera sees stays");
+    // Killed, it is gone, and the id is free; also for a second port of the process that has it now.
+    drop(camera);
+    let accepted = |d: &Daemon| d.inputs.obstacles().log(7).unwrap().accepted;
+    for mut heir in [impostor, client.obstacles(7).unwrap()] {
+        let before = accepted(&daemon);
+        let deadline = Instant::now() + WAIT;
+        while accepted(&daemon) < before + 3 {
+            assert!(Instant::now() < deadline, "the heir is not heard");
+            heir.publish(&mut ball_set(1), monotonic_ns()).unwrap();
+            std::thread::sleep(Duration::from_millis(5));
+            daemon.inputs.update();
+        }
+    }
     daemon.stop();
 }
 

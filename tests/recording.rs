@@ -4,7 +4,7 @@
 
 use sinew::ipc::payload::{Header, Obstacle, Obstacles, SourceReport, State, Target, TargetMode};
 use sinew::ipc::{Event, Tap};
-use sinew::recording::{Recorder, Recording, read};
+use sinew::recording::{Bounds, Recorder, Recording, read};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
@@ -88,7 +88,7 @@ fn what_was_written_is_read_back_by_the_schemas_in_the_file() {
 fn a_tick_of_the_papers_arm_takes_three_kilobytes() {
     let folder = tempfile::tempdir().unwrap();
     let size = |ticks| {
-        let path = folder.path().join("run.mcap");
+        let path = folder.path().join(format!("run-{ticks}.mcap"));
         write(&path, ticks);
         std::fs::metadata(path).unwrap().len()
     };
@@ -138,6 +138,45 @@ fn the_recorder_writes_what_passes_and_finishes_the_file() {
     let bytes = std::fs::read(&path).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().expect("a finished file has a summary");
     assert_eq!(summary.stats.unwrap().message_count, 102);
+}
+
+#[test]
+fn a_recording_is_dealt_to_files_that_are_each_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Bounds { file_bytes: 2 << 20, ..Bounds::NONE };
+    let about = BTreeMap::new();
+    let mut recorder = Recorder::start_within(folder.path(), "paper", &about, 0, bounds).unwrap().patient();
+    // 2.8 kB a tick.
+    const TICKS: u64 = 2000;
+    (0..TICKS).for_each(|tick| recorder.state(&state(tick)));
+    assert_eq!(recorder.finish().unwrap(), 0);
+    let mut files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().flatten().map(|e| e.path()).collect();
+    assert!(files.len() > 1, "{files:?}");
+    files.sort_by_key(|file| read(file).unwrap()[0].time_ns);
+    let mut ticks = Vec::new();
+    for file in &files {
+        let bytes = std::fs::read(file).unwrap();
+        assert!(mcap::Summary::read(&bytes).unwrap().is_some(), "{} is finished", file.display());
+        assert!(bytes.len() < 4 << 20, "{}", bytes.len());
+        ticks.extend(read(file).unwrap().iter().map(|m| m.value["header"]["tick"].as_u64().unwrap()));
+    }
+    assert!(ticks.iter().copied().eq(0..TICKS), "none twice, none lost");
+}
+
+#[test]
+fn every_recording_tells_what_time_of_day_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    drop(Recorder::start(&path, "paper", &BTreeMap::new(), 0).unwrap());
+    let bytes = std::fs::read(&path).unwrap();
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    let offset_ns = sinew::recording::wall_clock_offset_ns();
+    let now_ns = offset_ns + sinew::ipc::monotonic_ns();
+    let wall_ns = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_nanos() as u64;
+    assert!(wall_ns.abs_diff(now_ns) < 1_000_000_000);
+    // To ten seconds: the digits before.
+    let digits = &offset_ns.to_string()[..9];
+    assert!(text.contains("wall_clock_offset_ns") && text.contains(digits), "{digits}");
 }
 
 #[test]

@@ -4,9 +4,10 @@
 //! must never let a number that is not finite through, and never allocates after it is made.
 //!
 //! A cable runs over a drum of radius r behind a gear of ratio g (motor turns per drum turn):
-//! `torque = sign * tension * r / g`, `per mille = 1000 * torque / rated`, rounded to the nearest whole number. So the
+//! `torque = sign * tension * r / g`, `per mille = 1000 * torque / rated`, rounded to the nearest whole number whose tension
+//! is within the channel's limits, so that no rounding leaves them. So the
 //! tension on the wire comes in steps of `rated * g / (1000 r)` ([`MotorChannel::tension_quantum_n`]); at 5 N m, gear 1
-//! and 0.02 m that is 0.25 N, and the rounding error is at most half of it. Length comes in steps of
+//! and 0.02 m that is 0.25 N, and the rounding error is at most half of it, next to a limit all of it. Length comes in steps of
 //! `2 pi r / (g * counts per turn)`. Positive torque pulls where `sign` is `Forward`; the length is of the cable
 //! *paid out*, so that pulling makes it smaller.
 
@@ -131,6 +132,23 @@ impl MotorChannel {
         1000.0 * self.drum_radius_m / (self.gear_ratio * self.rated_torque_nm)
     }
 
+    /// Whole per mille of rated torque within the limits of the tension; the upper one is the torque that the drive itself is
+    /// to permit. Where the limits have no whole number between them, the lower one is the upper one.
+    fn permille_limits(&self) -> (f64, f64) {
+        // A limit that is a whole number is permitted, however it was computed.
+        let exact = |tension_n: f64| tension_n * self.permille_per_n();
+        let high = (exact(self.tension_n_max) * (1.0 + 1e-12)).floor();
+        ((exact(self.tension_n_min) * (1.0 - 1e-12)).ceil().min(high), high)
+    }
+
+    /// Torque of the largest tension (per mille of rated torque), rounded down: what a drive must not exceed for whatever it
+    /// is told.
+    pub fn torque_permille_max(&self) -> u16 {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
+        let permille = self.permille_limits().1.clamp(0.0, f64::from(u16::MAX)) as u16;
+        permille
+    }
+
     /// Length paid out per count, unsigned (m).
     pub fn length_quantum_m(&self) -> f64 {
         TAU * self.drum_radius_m / (self.gear_ratio * self.counts_per_turn)
@@ -148,7 +166,8 @@ impl MotorChannel {
             return None;
         }
         let cut = tension_n.clamp(self.tension_n_min, self.tension_n_max);
-        let permille = self.sense.sign() * (cut * self.permille_per_n()).round();
+        let (low, high) = self.permille_limits();
+        let permille = self.sense.sign() * (cut * self.permille_per_n()).round().min(high).max(low);
         #[allow(clippy::cast_possible_truncation)] // clamped to i16
         let permille = permille.clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16;
         Some((permille, cut != tension_n))
@@ -322,11 +341,22 @@ mod tests {
 
     proptest! {
         #[test]
-        fn tension_comes_back_within_half_a_step(c in channel(), share in 0.0f64..1.0) {
-            let tension = share * c.tension_n_max;
+        fn tension_comes_back_within_half_a_step_and_never_outside_the_limits(
+            c in channel(),
+            share in 0.0f64..=1.0,
+            least in 0.0f64..0.5,
+        ) {
+            let c = MotorChannel { tension_n_min: least * c.tension_n_max, ..c };
+            let tension = c.tension_n_min + share * (c.tension_n_max - c.tension_n_min);
             let (torque, cut) = c.encode_tension(tension).unwrap();
             prop_assert!(!cut);
-            prop_assert!((c.decode_tension(torque) - tension).abs() <= 0.5 * c.tension_quantum_n() * (1.0 + 1e-9));
+            let (back, step) = (c.decode_tension(torque), c.tension_quantum_n());
+            let inner = (tension - c.tension_n_min).min(c.tension_n_max - tension) > 0.5 * step;
+            let most = if inner { 0.5 } else { 1.0 } * step * (1.0 + 1e-9);
+            prop_assert!((back - tension).abs() <= most);
+            prop_assert!(back <= c.tension_n_max * (1.0 + 1e-9));
+            prop_assert!(back >= c.tension_n_min * (1.0 - 1e-9) || c.tension_n_max - c.tension_n_min < step);
+            prop_assert!(torque.unsigned_abs() <= c.torque_permille_max());
             // Pulling has the sense's sign.
             prop_assert!(f64::from(torque) * c.sense.sign() >= 0.0);
         }
@@ -378,6 +408,17 @@ mod tests {
         assert_eq!(c.encode_tension(0.0), Some((-20, true)));
         assert!((c.tension_quantum_n() - 0.25).abs() < 1e-12);
         assert!((c.decode_length(10 + 65_536) - (0.65 + TAU * 0.02)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_limit_between_two_steps_is_rounded_inwards() {
+        // As the shipped drives: 942.86 per mille at 220 N, 0.2333 N a step.
+        let c = MotorChannel { drum_radius_m: 0.015, gear_ratio: 10.0, rated_torque_nm: 0.35, ..one() };
+        let (torque, _) = c.encode_tension(220.0).unwrap();
+        assert_eq!((torque, c.torque_permille_max()), (-942, 942));
+        assert!(c.decode_tension(torque) <= 220.0);
+        let (torque, _) = c.encode_tension(5.0).unwrap();
+        assert!(c.decode_tension(torque) >= 5.0, "{torque}");
     }
 
     #[test]

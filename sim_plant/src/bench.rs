@@ -8,11 +8,11 @@ use crate::truth::{Truth, TruthSettings};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::Config;
+use sinew::control::{CableMask, Record};
 use sinew::control::{
     Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
     Settings, TargetInput, TickInputs, TickOutput,
 };
-use sinew::control::{CableMask, Record};
 use sinew::estimator::Observer;
 
 /// A controller with its arm.

@@ -8,7 +8,8 @@
 //! measure at the SYNC itself, which is one tick of latency. The drives' clock is the number of SYNCs times the period:
 //! heartbeats and SYNC guards count simulated time, and a run is the same bit for bit however fast it computes.
 //! A controller that dies stops that clock; so after [`SILENCE`] of real time without a SYNC it goes on with the computer's
-//! until the next SYNC, and the guards find out. A period ends with a TIME object on every bus, after all answers: whoever
+//! until the next SYNC, and the guards find out. Not so while a process is known to be the controller, which a virtual bus
+//! can tell: one that is stopped, or has no processor, has not died. A period ends with a TIME object on every bus, after all answers: whoever
 //! waits for answers in lockstep knows by it that no more will come.
 //!
 //! **Faults on the wire** ([`crate::wire`]) lie between the bus and the drives. The clock of lockstep is no frame that
@@ -37,6 +38,7 @@ use sinew_hal::cia402::state::State;
 use sinew_hal::clock::{Clock, Lockstep, Monotonic, Naps, monotonic_ns};
 use sinew_hal::fault_shim::FaultShim;
 use sinew_hal::realtime;
+use sinew_hal::virtual_bus::{Role, is_claimed};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -47,6 +49,8 @@ use std::time::Duration;
 pub const SILENCE: Duration = Duration::from_secs(10);
 /// Physics further behind than this gives the difference up.
 pub const BEHIND_MAX: Duration = Duration::from_millis(250);
+/// Interval at which is asked whether the controller lives (ns).
+const LIVES_NS: u64 = 500_000_000;
 /// Longest wait on a bus: how soon a request to stop is seen.
 const WAIT_MAX: Duration = Duration::from_millis(20);
 /// Longest wait on one of several buses.
@@ -149,6 +153,9 @@ pub struct Server {
     now_ns: u64,
     actions: Vec<DriveAction>,
     served: Served,
+    virtual_buses: Vec<String>,
+    /// Whether the controller lived when it was asked for last, and when that was (ns).
+    lives: (bool, u64),
 }
 
 impl Server {
@@ -224,6 +231,11 @@ impl Server {
             now_ns,
             actions: vec![DriveAction { enabled: false, torque_permille: 0 }; cables],
             served: Served::default(),
+            virtual_buses: {
+                let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
+                virtual_buses.map(|bus| bus.interface.clone()).collect()
+            },
+            lives: (false, 0),
         })
     }
 
@@ -307,12 +319,22 @@ impl Server {
             }
             // One period at a time, so that a SYNC that comes after all is served between two of them.
             let silence_ns = monotonic_ns().saturating_sub(heard_ns);
-            if silence_ns > SILENCE.as_nanos() as u64 {
+            if silence_ns > SILENCE.as_nanos() as u64 && !self.controller_lives() {
                 heard_ns += (self.period_s * 1e9) as u64;
                 self.period()?;
             }
         }
         Ok(())
+    }
+
+    /// Asked at most twice a second.
+    fn controller_lives(&mut self) -> bool {
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(self.lives.1) > LIVES_NS {
+            let claimed = self.virtual_buses.iter().any(|bus| is_claimed(bus, Role::Master));
+            self.lives = (claimed, now_ns);
+        }
+        self.lives.0
     }
 
     fn on_lockstep_sync(&mut self, index: usize) -> Result<(), ServerError> {

@@ -11,7 +11,7 @@ use crate::config::Pace;
 use crate::rig::Rig;
 use sinew::ipc::Tap;
 use sinew::ipc::payload::{Header, MAX_NODES, State};
-use sinew::recording::{Recorder, RecordingError};
+use sinew::recording::{Recorder, RecordingError, wall_clock_offset_ns};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -38,10 +38,9 @@ impl Trace {
             ("content".to_owned(), "true state of the simulated arm".to_owned()),
             ("seed".to_owned(), seed.to_string()),
         ]);
-        let recorder = Recorder::start(path, arm, &about, 0)?;
         let recorder = match pace {
-            Pace::Lockstep => recorder.patient(),
-            Pace::Realtime => recorder,
+            Pace::Lockstep => Recorder::start(path, arm, &about, 0)?.patient(),
+            Pace::Realtime => Recorder::start(path, arm, &about, wall_clock_offset_ns())?,
         };
         Ok(Self { recorder, state: Box::default(), sequence: 0 })
     }

@@ -23,6 +23,9 @@ impl Check {
         for line in config.summary() {
             table.add_row([line.label, line.value]);
         }
+        // What the environment says precedes what the files say, here as where the daemon runs.
+        let [(_, prefix), (_, root)] = daemon::domain(&config).env();
+        table.add_row(["shared memory", &format!("prefix {}, root {}", prefix.display(), root.display())]);
         for load in daemon::bus_loads(&config) {
             let value = format!(
                 "{:.1} % with worst-case stuffing, at most {:.0} %; shortest period {:.2} ms",
@@ -31,6 +34,9 @@ impl Check {
                 1e3 * load.period_s_min
             );
             table.add_row([format!("load {}", load.name), value]);
+        }
+        for protection in &config.drives.accept_without {
+            table.add_row(["accepted without", protection.name()]);
         }
         for file in self.config.iter().filter(|file| holds_plant(file)) {
             let value = format!("[plant] of {} is sim_plant's, which checks it when it starts", file.display());

@@ -2,11 +2,16 @@
 
 use super::{Outcome, complain, print_text};
 use clap::Args;
-use miette::IntoDiagnostic;
+use miette::{IntoDiagnostic, WrapErr};
+use rustix::process::{Gid, Uid, geteuid};
+use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 use sinew::config::Config;
 use sinew::daemon;
+use sinew::daemon::operator::Address;
 use sinew::ipc::payload::{RefusalReason, Response};
 use sinew::ipc::{Client, Domain, IpcError};
+use sinew_hal::bus_error;
+use sinew_hal::peer::{group_of, user_text};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -25,23 +30,53 @@ pub(crate) struct Which {
 pub(crate) const ANSWER: Duration = Duration::from_secs(5);
 
 impl Which {
-    /// Domain and name of the arm.
-    pub(crate) fn find(&self) -> miette::Result<(Domain, String)> {
+    /// Names and places of the daemon.
+    pub(crate) fn find(&self) -> miette::Result<Found> {
         if self.config.is_empty() {
-            return Ok((Domain::from_env(), self.arm.clone()));
+            let (domain, arm) = (Domain::from_env(), self.arm.clone());
+            return Ok(Found { address: Address::new(&domain, &arm, None), domain, arm });
         }
         let config = Config::load(&self.config)?;
-        Ok((daemon::domain(&config), config.ipc.arm))
+        Ok(Found { address: daemon::address(&config), domain: daemon::domain(&config), arm: config.ipc.arm })
     }
 
+    /// Connects to the daemon's shared memory, which belongs to its user alone: root becomes that user first, for what
+    /// root makes there the daemon cannot open.
     pub(crate) fn connect(&self) -> miette::Result<Result<Client, IpcError>> {
-        let (domain, arm) = self.find()?;
+        let Found { address, domain, arm } = self.find()?;
+        // For the last word where there is no room left in shared memory.
+        bus_error::say_and_exit(2).into_diagnostic()?;
+        if geteuid().is_root()
+            && let Some(uid) = address.owner().filter(|uid| *uid != 0)
+        {
+            become_user(uid).into_diagnostic().wrap_err_with(|| format!("becoming user {}", user_text(uid)))?;
+        }
         Ok(Client::connect(&domain, &arm))
     }
 }
 
+/// Names and places of a daemon.
+#[derive(Debug)]
+pub(crate) struct Found {
+    /// Its socket.
+    pub(crate) address: Address,
+    /// Its shared memory.
+    pub(crate) domain: Domain,
+    /// Its arm.
+    pub(crate) arm: String,
+}
+
+/// For good. The commands have one thread when they come here.
+fn become_user(uid: u32) -> std::io::Result<()> {
+    let (uid, gid) = (Uid::from_raw(uid), Gid::from_raw(group_of(uid)));
+    set_thread_groups(&[gid])?;
+    set_thread_res_gid(gid, gid, gid)?;
+    set_thread_res_uid(uid, uid, uid)?;
+    Ok(())
+}
+
 /// Says why there is no connection.
-pub(crate) fn not_connected(error: &IpcError) -> Outcome {
+pub(crate) fn not_connected(error: &dyn std::error::Error) -> Outcome {
     complain(format_args!("sinew: {error}"));
     Outcome::Failed
 }

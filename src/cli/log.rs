@@ -48,7 +48,12 @@ struct Losses {
 impl Queue {
     /// From here on the lines of all threads go through the queue, and panics are lines as well: whoever panics must not
     /// wait for standard error either. The thread is where the calling one may be. To be called once.
-    pub(crate) fn start() -> Self {
+    ///
+    /// # Errors
+    /// No thread can be started.
+    pub(crate) fn start() -> io::Result<Self> {
+        // The library panics where it gets none.
+        std::thread::Builder::new().spawn(|| {})?;
         let queue = Self::before(io::stderr(), LINES);
         // A second one would not be heard of; the first stays.
         let _ = QUEUE.set(queue.lines.clone());
@@ -59,7 +64,7 @@ impl Queue {
                 _ => complain(panic),
             }
         }));
-        queue
+        Ok(queue)
     }
 
     fn before(target: impl Write + Send + 'static, lines: usize) -> Self {

@@ -5,7 +5,9 @@ use super::{Outcome, complain, print_text};
 use clap::{Args, Subcommand};
 use comfy_table::Table;
 use miette::IntoDiagnostic;
-use sinew::ipc::payload::{FLAG_LEAVING, NO_TICK, Obstacle, Obstacles, State};
+use sinew::ipc::payload::{
+    FLAG_LEAVING, NO_TICK, Obstacle, Obstacles, REJECT_CAUSES, RejectCause, SourceHealth, State,
+};
 use sinew::ipc::{Client, IpcError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,7 +86,11 @@ impl Inject {
         };
         let begun_ns = loop_time_ns(&client)?;
         match self.publish(&client, obstacle, begun_ns, &stop) {
-            Ok(()) => Ok(Outcome::Done),
+            Ok(None) => Ok(Outcome::Done),
+            Ok(Some(why)) => {
+                complain(format_args!("sinew obstacles inject: source {}: refused: {why}", self.source));
+                Ok(Outcome::Failed)
+            }
             Err(error) => Ok(not_connected(&error)),
         }
     }
@@ -108,22 +114,27 @@ impl Inject {
         Ok(Some(obstacle))
     }
 
+    /// Publishes until it is told to stop, or for its time; why the loop refuses it, if it does.
     fn publish(
         &self,
         client: &Client,
         obstacle: Option<Obstacle>,
         begun_ns: u64,
         stop: &AtomicBool,
-    ) -> Result<(), IpcError> {
+    ) -> Result<Option<String>, IpcError> {
         let mut publisher = client.obstacles(self.source)?;
         let states = client.states()?;
         let begun = Instant::now();
         let (mut now_ns, mut tick) = (begun_ns, NO_TICK);
         let mut set = Obstacles::default();
+        let mut fate = Fate::new(self.source);
         while !stop.load(Ordering::Relaxed) && self.duration.is_none_or(|d| begun.elapsed().as_secs_f64() < d) {
             // In the loop's own time, which in lockstep is not the clock's.
             if let Some(state) = states.wait(INTERVAL)? {
                 (now_ns, tick) = (state.header.capture_ns, state.header.tick);
+                if let Some(why) = fate.see(&state) {
+                    return Ok(Some(why));
+                }
             } else {
                 now_ns += INTERVAL.as_nanos() as u64;
             }
@@ -145,7 +156,65 @@ impl Inject {
         publisher.publish(&mut set, now_ns)?;
         // The message must be taken before its publisher goes.
         std::thread::sleep(Duration::from_millis(50));
-        Ok(())
+        Ok(fate.unseen())
+    }
+}
+
+/// What becomes of the sets that are sent, as the records tell it.
+struct Fate {
+    source: u32,
+    /// Accepted, refused by cause, and refused for want of a place, when the first record was seen.
+    before: Option<(u64, [u64; REJECT_CAUSES], u64)>,
+    looks: u32,
+    seems_taken: bool,
+    taken: bool,
+}
+
+/// Looks after which what is accepted is not another's of the same id: by then this one's would have been refused.
+const LOOKS_MIN: u32 = 5;
+/// Refusals after which a source is not taken: a single one may be another's of the same id, that has just ended.
+const REFUSED_MIN: u64 = 3;
+
+impl Fate {
+    const fn new(source: u32) -> Self {
+        Self { source, before: None, looks: 0, seems_taken: false, taken: false }
+    }
+
+    /// Looks at a record; why the sets are refused, if they are.
+    fn see(&mut self, state: &State) -> Option<String> {
+        let unused = SourceHealth::Absent.wire();
+        let report = state.obstacle_sources.iter().find(|s| s.source_id == self.source && s.health != unused);
+        let (accepted, rejected) = report.map_or((0, [0; REJECT_CAUSES]), |r| (r.accepted, r.rejected));
+        let crowded = state.obstacle_sources_refused;
+        let (first_accepted, first_rejected, first_crowded) = *self.before.get_or_insert((accepted, rejected, crowded));
+        let cause = rejected.iter().zip(first_rejected).position(|(now, first)| *now >= first + REFUSED_MIN);
+        if let Some(cause) = cause.and_then(|c| RejectCause::from_wire(c as u32)) {
+            return Some(match cause {
+                RejectCause::TooManySources => {
+                    format!(
+                        "another process publishes under this id; choose another: --source {}",
+                        self.source.wrapping_add(1)
+                    )
+                }
+                cause => cause.text().to_owned(),
+            });
+        }
+        if report.is_none() && crowded >= first_crowded + REFUSED_MIN {
+            return Some("all places for sources are taken; see `sinew status`".into());
+        }
+        self.looks += 1;
+        let refused = rejected.iter().sum::<u64>() > first_rejected.iter().sum::<u64>();
+        self.seems_taken = !refused && accepted > first_accepted;
+        if !self.taken && self.seems_taken && self.looks >= LOOKS_MIN {
+            self.taken = true;
+            complain(format_args!("sinew: obstacles of source {} are taken", self.source));
+        }
+        None
+    }
+
+    /// At the end: why nothing is known of it.
+    fn unseen(&self) -> Option<String> {
+        (!self.taken && !self.seems_taken).then(|| "the loop took none of it within this time".into())
     }
 }
 

@@ -3,7 +3,7 @@
 use super::record::PlanRecording;
 use super::{Outcome, print_json, print_text, progress_bar};
 use clap::{Args, ValueEnum};
-use miette::{IntoDiagnostic, bail, miette};
+use miette::{IntoDiagnostic, WrapErr, bail, miette};
 use sinew::config::{BodyModel, ScenarioConfig, WarningBranch};
 use sinew::recording::RecordingError;
 use sinew::report::{figures_table, summary_table};
@@ -76,7 +76,7 @@ impl Plan {
     }
 
     fn single(&self, scenario: &ScenarioConfig, seed: u64) -> miette::Result<Outcome> {
-        let mut run = Run::new(scenario, seed).into_diagnostic()?;
+        let mut run = Run::new(scenario, seed).into_diagnostic().wrap_err_with(|| self.scenario.clone())?;
         let mut collector = run.collector();
         let mut recording =
             self.out.as_deref().map(|path| PlanRecording::create(path, &run)).transpose().map_err(unrecorded)?;
@@ -129,7 +129,8 @@ impl Plan {
             bar.set_length(steps * scenario.sweep.len() as u64);
             bar.set_position(index as u64 * steps + step);
         })
-        .into_diagnostic()?;
+        .into_diagnostic()
+        .wrap_err_with(|| self.scenario.clone())?;
         bar.finish_and_clear();
         if self.json {
             print_json(&serde_json::json!({ "scenario": scenario.name, "seed": seed, "runs": rows }))?;

@@ -3,7 +3,9 @@
 use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
 use super::{Outcome, complain};
 use clap::{ArgGroup, Args};
+use sinew::daemon::operator::{OperatorError, Said, Word};
 use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, Target, TargetMode};
+use sinew_hal::peer::user_text;
 
 /// Arguments of a request without any of its own.
 #[derive(Debug, Args)]
@@ -14,6 +16,9 @@ pub(crate) struct Ask {
 
 impl Ask {
     pub(crate) fn run(&self, kind: RequestKind) -> miette::Result<Outcome> {
+        if let Some(word) = Word::of(kind) {
+            return self.order(word);
+        }
         let mut client = match self.which.connect()? {
             Ok(client) => client,
             Err(error) => return Ok(not_connected(&error)),
@@ -22,6 +27,34 @@ impl Ask {
             Ok(response) => say(kind.text(), &response),
             Err(error) => Ok(not_connected(&error)),
         }
+    }
+}
+
+impl Ask {
+    /// Over the arm's socket, which needs no shared memory.
+    fn order(&self, word: Word) -> miette::Result<Outcome> {
+        let found = self.which.find()?;
+        let all = match found.address.ask_all(word, ANSWER) {
+            Ok(all) => all,
+            Err(error) => return Ok(not_connected(&error)),
+        };
+        let several = all.len() > 1;
+        let mut outcome = Outcome::Done;
+        for (uid, said) in all {
+            if several {
+                complain(format_args!("sinew: the daemon of user {}:", user_text(uid)));
+            }
+            let one = match said {
+                Ok(Said::Answer(answer)) => say(word.text(), &answer.response())?,
+                Ok(Said::Refused(why)) => not_connected(&OperatorError::Refused { why }),
+                Ok(Said::Status(_)) => not_connected(&OperatorError::Refused { why: "not understood".into() }),
+                Err(error) => not_connected(&error),
+            };
+            if one != Outcome::Done {
+                outcome = one;
+            }
+        }
+        Ok(outcome)
     }
 }
 

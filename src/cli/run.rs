@@ -3,8 +3,10 @@
 use super::{Outcome, complain, log};
 use clap::Args;
 use miette::IntoDiagnostic;
+use rustix::process::Signal;
 use sinew::config::{BusKind, Config};
 use sinew::daemon::{AutoRequests, Daemon, DaemonError, Ending, Heart, LockstepOptions, Options};
+use sinew_hal::bus_error;
 use sinew_hal::realtime::leave_processor;
 use sinew_hal::virtual_bus::{Claim, Role, claim};
 use std::path::PathBuf;
@@ -18,7 +20,8 @@ pub(crate) struct Run {
     /// Configuration files; together they hold all tables.
     #[arg(long, required = true, num_args = 1.., value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// Write everything as an MCAP recording.
+    /// Write everything as an MCAP recording: a file that is not there yet, or a folder, in which it is named by arm and
+    /// start time. `[recording]` bounds it.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Seed of the planner's random numbers.
@@ -58,6 +61,9 @@ impl Run {
             signal_hook::flag::register_conditional_shutdown(signal, 1, stop.clone()).into_diagnostic()?;
             signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
         }
+        // A file that is too long for a limit of the process (`ulimit -f`) is an error of the recording, not the end.
+        signal_hook::flag::register(Signal::XFSZ.as_raw(), Arc::default()).into_diagnostic()?;
+        bus_error::say_and_exit(70).into_diagnostic()?;
         let config = Config::load(&self.config)?;
         let lockstep = self.lockstep.then(|| LockstepOptions {
             obstacles: self.await_obstacles,
@@ -77,7 +83,13 @@ impl Run {
             // As the daemon does for its threads: the log's starts before them.
             leave_processor(cpu);
         }
-        let mut log = log::Queue::start();
+        let mut log = match log::Queue::start() {
+            Ok(log) => log,
+            Err(error) => {
+                complain(format_args!("sinew run: no thread can be started: {error}; see `ulimit -u`"));
+                return Ok(Outcome::Unusable);
+            }
+        };
         let virtual_buses = config.drives.buses.iter().filter(|bus| bus.kind == BusKind::Virtual);
         let claims: Result<Vec<Claim>, _> = virtual_buses.map(|bus| claim(&bus.interface, Role::Master)).collect();
         // Before the daemon's first word on the bus, which resets the drives; held to the end.
@@ -110,7 +122,11 @@ impl Run {
             }
             Err(error) => {
                 complain(format_args!("sinew run: {error}"));
-                Ok(if is_defect(&error) { Outcome::Defect } else { Outcome::Failed })
+                Ok(match error {
+                    DaemonError::RecordingEnded => Outcome::Unusable,
+                    error if is_defect(&error) => Outcome::Defect,
+                    _ => Outcome::Failed,
+                })
             }
         }
     }

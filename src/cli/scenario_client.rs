@@ -25,6 +25,8 @@ use std::time::{Duration, Instant};
 const AHEAD_S: f64 = 0.4;
 /// A daemon that has said nothing for so long is gone.
 const SILENCE: Duration = Duration::from_secs(30);
+/// Silence in lockstep after which is looked whether the daemon is there (ns).
+const LOOK_NS: u64 = 1_000_000_000;
 
 /// Time (s) between the first tick that tracks and the beginning of the scenario.
 ///
@@ -115,7 +117,7 @@ fn publish<C: Content>(
     let mut publisher: SourcePublisher<C::Payload> = daemon.publisher(common.source).into_diagnostic()?;
     let mut clock = ScenarioClock::new(&scenario.task);
     let last_ns = if common.lockstep {
-        in_lockstep(&mut content, &mut clock, &states, &mut publisher, stop)?
+        in_lockstep(&mut content, &mut clock, &daemon, &states, &mut publisher, stop)?
     } else {
         in_real_time(&mut content, &mut clock, &states, &mut publisher, stop, common.period)?
     };
@@ -154,6 +156,7 @@ impl ScenarioClock {
 fn in_lockstep<C: Content>(
     content: &mut C,
     clock: &mut ScenarioClock,
+    daemon: &Daemon,
     states: &NewestSubscriber<State>,
     publisher: &mut SourcePublisher<C::Payload>,
     stop: &AtomicBool,
@@ -169,7 +172,8 @@ fn in_lockstep<C: Content>(
             }
             match states.receive().into_diagnostic()? {
                 Some(state) if state.header.tick >= tick => break state,
-                _ if naps.waited_ns() > SILENCE.as_nanos() as u64 => return Ok(Some(capture_ns)),
+                // However long a tick takes: only a daemon that is gone has no further one.
+                _ if naps.waited_ns() > LOOK_NS && !daemon.has_daemon() => return Ok(Some(capture_ns)),
                 _ => naps.nap(),
             }
         };

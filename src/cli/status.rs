@@ -5,7 +5,7 @@ use super::client::Which;
 use clap::Args;
 use comfy_table::{Table, presets};
 use miette::IntoDiagnostic;
-use sinew::daemon::domain_name;
+use sinew::daemon::operator::OperatorError;
 use sinew::daemon::status::{SourceStatus, StatusReport, ask};
 
 /// Arguments of `sinew status`.
@@ -20,10 +20,11 @@ pub(crate) struct Status {
 
 impl Status {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
-        let (domain, arm) = self.which.find()?;
-        let Some(report) = ask(&domain_name(&domain), &arm).into_diagnostic()? else {
-            super::complain(format_args!("sinew: {}", sinew::ipc::IpcError::NoDaemon { arm }));
-            return Ok(Outcome::Failed);
+        let found = self.which.find()?;
+        let no_daemon = || OperatorError::NoDaemon(sinew::ipc::IpcError::NoDaemon { arm: found.arm.clone() });
+        let report = match ask(&found.address).and_then(|report| report.ok_or_else(no_daemon)) {
+            Ok(report) => report,
+            Err(error) => return Ok(super::client::not_connected(&error)),
         };
         if self.json {
             super::print_text(&format!("{}\n", serde_json::to_string(&report).into_diagnostic()?))?;
@@ -47,6 +48,11 @@ fn text(r: &StatusReport) -> String {
     if let Some(fault) = &r.fault {
         line(format!("fault {}: {}", fault.code, fault.what));
         line(format!("  what clears it: {}", fault.clears));
+    }
+    // Those that have a line of their own have it.
+    for alarm in r.alarms.iter().filter(|alarm| !["fault", "real time"].contains(&alarm.about.as_str())) {
+        line(format!("alarm ({}): {}, since {}", alarm.about, alarm.what, alarm.since_utc));
+        line(format!("  what it does: {}; what clears it: {}", alarm.does, alarm.clears));
     }
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(

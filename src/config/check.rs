@@ -118,7 +118,7 @@ impl Config {
                 format!("{kind} {}, {rate}, {range}, load at most {limit:.0} %", bus.interface),
             ));
         }
-        lines.push(line("services", format!("sinew/{}/..., prefix {}", self.ipc.arm, self.ipc.prefix)));
+        lines.push(line("services", format!("sinew/{}/...", self.ipc.arm)));
         lines
     }
 }

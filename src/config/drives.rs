@@ -74,9 +74,47 @@ pub struct DriveConfig {
     pub counts_per_turn: u32,
     /// Largest motor torque that the drive is told to permit (N m).
     pub torque_nm_max: f64,
+    /// Vendor that the drive must show (1018:01); `None` for any.
+    pub vendor_id: Option<u32>,
+    /// Product code that it must show (1018:02); `None` for any.
+    pub product_code: Option<u32>,
+}
+
+/// Vendor and product code of sinew's simulated drive, whose guard of SYNC is objects 2000:01 and 2000:02.
+pub const SIMULATED_DRIVE: (u32, u32) = (0, 0x5349_4e57);
+
+/// What protects an arm against a master that is silent, and a drive may lack.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Protection {
+    /// 1400:05: without torques the drive goes safe.
+    RpdoTimeout,
+    /// Without SYNC the drive goes to its safe torque: 2000:01 and 2000:02 of the simulated drive.
+    SyncGuard,
+    /// 6087: the torque falls at a slope, not at once.
+    TorqueSlope,
+}
+
+impl Protection {
+    /// Every one.
+    pub const ALL: [Self; 3] = [Self::RpdoTimeout, Self::SyncGuard, Self::TorqueSlope];
+
+    /// As the configuration has it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RpdoTimeout => "rpdo_timeout",
+            Self::SyncGuard => "sync_guard",
+            Self::TorqueSlope => "torque_slope",
+        }
+    }
 }
 
 impl DriveConfig {
+    /// Whether it is expected to be sinew's simulated drive, by its identity.
+    pub fn is_simulated(&self) -> bool {
+        (self.vendor_id, self.product_code) == (Some(SIMULATED_DRIVE.0), Some(SIMULATED_DRIVE.1))
+    }
+
     /// Motor torque (N m, without sign) for a cable tension (N), friction not counted.
     pub fn torque_nm(&self, tension_n: f64) -> f64 {
         tension_n * self.drum_radius_m / self.gear_ratio
@@ -109,6 +147,10 @@ pub struct DrivesConfig {
     pub safe_tension_n: f64,
     /// Time in which a drive ramps to it (s).
     pub safe_ramp_s: f64,
+    /// The master's own node id; `None` for the highest that no drive has.
+    pub master_node_id: Option<u8>,
+    /// Protection that drives may lack.
+    pub accept_without: Vec<Protection>,
 }
 
 /// `[drives]`.
@@ -165,6 +207,21 @@ pub static DRIVES: TableSpec = TableSpec {
             "s",
             "0.2",
             "Time in which a drive ramps to it.",
+        ),
+        Key::optional(
+            "master_node_id",
+            Kind::Integer(1, 127),
+            "",
+            "the highest that no drive has",
+            "Node id of sinew's own heartbeat; no other node of any bus may have it.",
+        ),
+        Key::default(
+            "accept_without",
+            Kind::Texts(Length::Between(0, 3), 16),
+            "",
+            "[]",
+            "Protection that drives may lack: `rpdo_timeout` (1400:05), `sync_guard` (2000:01 and 2000:02, which sinew's \
+             simulated drive alone has), `torque_slope` (6087). A drive that lacks another is not used.",
         ),
         Key::required(
             "buses",
@@ -257,11 +314,27 @@ const LIMIT: Key = drive_key(
     "Largest motor torque that the drive permits; at least what `tension_n_max` needs, at most ten times the rated torque.",
 );
 
+const VENDOR: Key = Key::optional(
+    "vendor_id",
+    Kind::Integer(0, u32::MAX as i64),
+    "",
+    "any",
+    "Vendor that the drive must show (1018:01) before anything is written to it.",
+);
+const PRODUCT: Key = Key::optional(
+    "product_code",
+    Kind::Integer(0, u32::MAX as i64),
+    "",
+    "any",
+    "Product code that it must show (1018:02). Vendor 0 with product code 0x53494e57 is sinew's simulated drive: objects of \
+     its own are written to no other.",
+);
+
 static DEFAULTS: TableSpec = TableSpec {
     header: "[drives.defaults]",
     name: "defaults",
     about: "What the drives have in common.",
-    keys: &[DRUM, GEAR, SIGN, RATED, COUNTS, LIMIT],
+    keys: &[DRUM, GEAR, SIGN, RATED, COUNTS, LIMIT, VENDOR, PRODUCT],
 };
 
 static OVERRIDE: TableSpec = TableSpec {
@@ -285,6 +358,8 @@ static OVERRIDE: TableSpec = TableSpec {
         RATED,
         COUNTS,
         LIMIT,
+        VENDOR,
+        PRODUCT,
     ],
 };
 
@@ -412,9 +487,45 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
         boot_timeout_s: table.float("boot_timeout_s"),
         safe_tension_n: table.float("safe_tension_n"),
         safe_ramp_s: table.float("safe_ramp_s"),
+        master_node_id: table.integer_opt("master_node_id").and_then(|id| u8::try_from(id).ok()),
+        accept_without: accept_without(table),
     };
+    if let Some(drive) = config.drives.iter().find(|d| Some(d.node_id) == config.master_node_id)
+        && table.is_clean()
+    {
+        let message = format!("the drive of cable {},{} has it", drive.segment, drive.cable);
+        table.refuse("master_node_id", message, "permitted: 1 to 127, different from every drive's");
+    }
+    if let Some(drive) = config.drives.iter().find(|d| !d.is_simulated())
+        && !config.accept_without.contains(&Protection::SyncGuard)
+        && table.is_clean()
+    {
+        let message = format!(
+            "the drive of cable {},{} is not expected to be sinew's simulated one (`vendor_id`, `product_code`), so it has \
+             no guard of SYNC that sinew knows",
+            drive.segment, drive.cable
+        );
+        let help = "add \"sync_guard\": a silent master is then noticed by the drive's heartbeat consumer (1016) and by the \
+                    time-out of its torques (1400:05)";
+        table.refuse("accept_without", message, help);
+    }
     check_times(table, &config, arm, period_s);
     config
+}
+
+fn accept_without(table: &Section<'_>) -> Vec<Protection> {
+    let mut accepted = Vec::new();
+    for text in table.texts_opt("accept_without").unwrap_or_default() {
+        match Protection::ALL.into_iter().find(|protection| protection.name() == text) {
+            Some(protection) => accepted.push(protection),
+            None => {
+                let names: Vec<String> = Protection::ALL.iter().map(|p| format!("\"{}\"", p.name())).collect();
+                let help = format!("permitted: some of {}", names.join(", "));
+                table.refuse("accept_without", format!("there is no protection \"{text}\""), &help);
+            }
+        }
+    }
+    accepted
 }
 
 fn bus(section: &Section<'_>) -> BusConfig {
@@ -474,6 +585,8 @@ fn drive(section: &Section<'_>, segment: usize, cable: usize, bus: usize, node: 
         rated_torque_nm: section.float("rated_torque_nm"),
         counts_per_turn: section.integer("counts_per_turn") as u32,
         torque_nm_max: section.float("torque_nm_max"),
+        vendor_id: section.integer_opt("vendor_id").and_then(|id| u32::try_from(id).ok()),
+        product_code: section.integer_opt("product_code").and_then(|code| u32::try_from(code).ok()),
     }
 }
 

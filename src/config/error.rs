@@ -80,10 +80,14 @@ pub struct ConfigError {
     pub problems: Vec<Problem>,
 }
 
+/// Problems that are shown with their source; nobody reads more, and each takes its time to draw.
+const SHOWN_MAX: usize = 50;
+
 impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let count = self.problems.len();
-        write!(f, "configuration refused: {count} problem{} in {}", if count == 1 { "" } else { "s" }, self.subject)
+        write!(f, "configuration refused: {count} problem{} in {}", if count == 1 { "" } else { "s" }, self.subject)?;
+        if count > SHOWN_MAX { write!(f, "; the first {SHOWN_MAX} are:") } else { Ok(()) }
     }
 }
 
@@ -91,7 +95,7 @@ impl std::error::Error for ConfigError {}
 
 impl Diagnostic for ConfigError {
     fn related<'a>(&'a self) -> Option<Box<dyn Iterator<Item = &'a dyn Diagnostic> + 'a>> {
-        Some(Box::new(self.problems.iter().map(|problem| problem as &dyn Diagnostic)))
+        Some(Box::new(self.problems.iter().take(SHOWN_MAX).map(|problem| problem as &dyn Diagnostic)))
     }
 }
 

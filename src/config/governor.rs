@@ -43,7 +43,13 @@ pub static GOVERNOR: TableSpec = TableSpec {
     name: "governor",
     about: "What stands between a target and the arm: no target, however given, moves the arm faster than this. L is the arm's length. A step of the target becomes a smooth path in the arm's bends; where the way is blocked the arm waits.",
     keys: &[
-        Key::optional("speed_mps", RATE, "m/s", "0.04 L per second", "Speed of the tip, and of the joints between segments."),
+        Key::optional(
+            "speed_mps",
+            RATE,
+            "m/s",
+            "0.04 L per second",
+            "Speed of the tip, and of the joints between segments.",
+        ),
         Key::optional(
             "acceleration_mps2",
             RATE,

@@ -7,6 +7,7 @@
 //! that registry and `config/README.md` is generated from it. `serde` only writes these types: a derived reader stops at
 //! the first mistake and cannot say what would be permitted.
 
+mod access;
 mod arm;
 mod arm_file;
 mod builtin;
@@ -24,6 +25,7 @@ mod obstacles;
 mod planner;
 mod planner_file;
 pub mod reader;
+mod recording;
 mod scenario;
 mod scenario_file;
 pub mod schema;
@@ -31,20 +33,24 @@ mod target;
 mod timing;
 mod weights;
 
+pub use access::{ACCESS, AccessConfig, Who};
 pub use arm::*;
 pub use arm_file::ARM;
 pub use builtin::{BUILTIN_FILES, SCENARIOS, builtin_texts};
 pub use check::SummaryLine;
-pub use drives::{BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX};
+pub use drives::{
+    BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX, Protection, SIMULATED_DRIVE,
+};
 pub use error::ConfigError;
 pub use friction::{FRICTION, FrictionConfig};
 pub use governor::{GOVERNOR, GovernorConfig};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};
-pub use obstacles::{OBSTACLES, ObstaclePolicyConfig};
+pub use obstacles::{LostAction, OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
+pub use recording::{RECORDING, RecordingConfig};
 pub use scenario::*;
 pub use scenario_file::{SCENARIO, arm_of};
 pub use target::{TARGET, TargetPolicyConfig};
@@ -61,12 +67,16 @@ use std::path::PathBuf;
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
 /// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC];
+pub static TABLES: &[&TableSpec] = &[
+    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC,
+    &ACCESS, &RECORDING,
+];
 
 /// What the daemon's files may hold.
-static KNOWN_TABLES: &[&TableSpec] =
-    &[&ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC, &PLANT];
+static KNOWN_TABLES: &[&TableSpec] = &[
+    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC,
+    &ACCESS, &RECORDING, &PLANT,
+];
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -95,6 +105,10 @@ pub struct Config {
     pub drives: DrivesConfig,
     /// `[ipc]`.
     pub ipc: IpcConfig,
+    /// `[access]`.
+    pub access: AccessConfig,
+    /// `[recording]`.
+    pub recording: RecordingConfig,
 }
 
 impl Config {
@@ -137,12 +151,29 @@ impl Config {
         let target = target::read(&document.table_or_defaults(&TARGET));
         let drives = drives::read(&document.table(&DRIVES), &arm, Some(timing.period_s));
         let ipc = ipc::read(&document.table_or_defaults(&IPC), &arm.name);
+        let recording = recording::read(&document.table_or_defaults(&RECORDING));
+        let access = access::read(&document.table_or_defaults(&ACCESS));
         if let Some(budget) = planner.budget_s
             && budget > timing.period_s - timing.reserve_s
         {
             let most = timing.period_s - timing.reserve_s;
             planner_table.refuse("budget_s", "more than the period leaves", &format!("permitted: > 0 and <= {most} s"));
         }
-        Self { arm, timing, planner, weights, observer, friction, governor, guard, obstacles, target, drives, ipc }
+        Self {
+            arm,
+            timing,
+            planner,
+            weights,
+            observer,
+            friction,
+            governor,
+            guard,
+            obstacles,
+            target,
+            drives,
+            ipc,
+            access,
+            recording,
+        }
     }
 }

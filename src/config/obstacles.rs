@@ -1,7 +1,7 @@
 //! `[obstacles]`: how far perception is believed.
 
 use super::reader::Section;
-use super::schema::{Key, Kind, Range, TableSpec};
+use super::schema::{Key, Kind, Length, Range, TableSpec};
 use serde::Serialize;
 
 /// Treatment of obstacle estimates over their age and uncertainty.
@@ -13,6 +13,10 @@ pub struct ObstaclePolicyConfig {
     pub hold_after_s: f64,
     /// Growth of every obstacle per second of age beyond `stale_after_s` (m/s).
     pub growth_mps: f64,
+    /// Most that an obstacle grows by age (m).
+    pub growth_m_max: f64,
+    /// What the arm does when a source is expired and its obstacles have grown that far.
+    pub lost: LostAction,
     /// k: obstacles are grown by k standard deviations of their position.
     pub sigma_multiple: f64,
     /// Most obstacles of all sources together, at most 64.
@@ -21,6 +25,18 @@ pub struct ObstaclePolicyConfig {
     pub future_tolerance_s: f64,
     /// True if the arm may only track while at least one perception client publishes.
     pub require_source: bool,
+    /// Sources that must be there for motion, at most eight.
+    pub required: Vec<u32>,
+}
+
+/// What the arm does when nobody knows any more where obstacles are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LostAction {
+    /// Goes on holding.
+    Hold,
+    /// Ramps its tensions down and disarms.
+    Stop,
 }
 
 /// `[obstacles]`.
@@ -48,7 +64,23 @@ pub static OBSTACLES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.0, 10.0)),
             "m/s",
             "0.05",
-            "Growth per second of age beyond `stale_after_s`.",
+            "Growth per second of age beyond `stale_after_s`; beyond `hold_after_s` by the obstacle's speed as well, for it is \
+             no longer moved.",
+        ),
+        Key::default(
+            "growth_m_max",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "m",
+            "0.3",
+            "Most that an obstacle grows by age.",
+        ),
+        Key::default(
+            "lost",
+            Kind::Choice(&["hold", "stop"]),
+            "",
+            "\"hold\"",
+            "What the arm does when a source is expired and its obstacles have grown by `growth_m_max`: go on holding, or \
+             stop.",
         ),
         Key::default(
             "sigma_multiple",
@@ -72,6 +104,13 @@ pub static OBSTACLES: TableSpec = TableSpec {
             "true",
             "Track only while a perception client publishes; an empty set is one, no client is none.",
         ),
+        Key::default(
+            "required",
+            Kind::Integers(Length::Between(0, 8), 0, u32::MAX as i64),
+            "",
+            "[]",
+            "Source ids that must be there for motion: absent, refused or crowded out, the arm holds. Their places are kept.",
+        ),
     ],
 };
 
@@ -84,7 +123,10 @@ pub(super) fn read(table: &Section<'_>) -> ObstaclePolicyConfig {
         sigma_multiple: table.float("sigma_multiple"),
         capacity: table.count("capacity"),
         future_tolerance_s: table.float("future_tolerance_s"),
+        growth_m_max: table.float("growth_m_max"),
+        lost: if table.choice("lost") == "stop" { LostAction::Stop } else { LostAction::Hold },
         require_source: table.boolean("require_source"),
+        required: table.integers("required").into_iter().filter_map(|id| u32::try_from(id).ok()).collect(),
     };
     if config.hold_after_s < config.stale_after_s {
         let help = format!("permitted: {} s (`stale_after_s`) to 600 s", config.stale_after_s);

@@ -256,6 +256,47 @@ impl<'d> Section<'d> {
         })
     }
 
+    /// An array of different integers.
+    pub fn integers(&self, name: &'static str) -> Vec<i64> {
+        self.with(name, |key, found| {
+            let Kind::Integers(length, min, max) = key.kind else { return self.misread(key) };
+            let Some(array) = found.value.as_array() else { return self.wrong_type(key, &found) };
+            let mut values = Vec::with_capacity(array.len());
+            for (index, entry) in array.iter().enumerate() {
+                let Some(integer) = entry.get_ref().as_integer() else { return self.wrong_type(key, &found) };
+                match i64::from_str_radix(integer.as_str(), integer.radix()) {
+                    Ok(value) if (min..=max).contains(&value) && !values.contains(&value) => values.push(value),
+                    _ => return self.entry_out_of_range(key, &found, index),
+                }
+            }
+            if !length.contains(values.len()) {
+                return self.wrong_length(key, &found, values.len(), length);
+            }
+            Some(values)
+        })
+        .unwrap_or_default()
+    }
+
+    /// An array of strings that may be absent.
+    pub fn texts_opt(&self, name: &'static str) -> Option<Vec<String>> {
+        self.with(name, |key, found| {
+            let Kind::Texts(length, most) = key.kind else { return self.misread(key) };
+            let Some(array) = found.value.as_array() else { return self.wrong_type(key, &found) };
+            let mut values = Vec::with_capacity(array.len());
+            for (index, entry) in array.iter().enumerate() {
+                let Some(text) = entry.get_ref().as_str() else { return self.wrong_type(key, &found) };
+                if text.is_empty() || text.len() > most {
+                    return self.entry_out_of_range(key, &found, index);
+                }
+                values.push(text.to_owned());
+            }
+            if !length.contains(values.len()) {
+                return self.wrong_length(key, &found, values.len(), length);
+            }
+            Some(values)
+        })
+    }
+
     /// An array of exactly `N` numbers.
     pub fn vector<const N: usize>(&self, name: &'static str) -> [f64; N] {
         self.vector_opt(name).unwrap_or([f64::NAN; N])

@@ -101,6 +101,10 @@ pub enum Kind {
     Choice(&'static [&'static str]),
     /// An array of numbers.
     Floats(Length, Range),
+    /// An array of different integers, each with both ends included.
+    Integers(Length, i64, i64),
+    /// An array of strings of 1 to so many bytes.
+    Texts(Length, usize),
     /// A unit quaternion `[w, x, y, z]`; its norm may be off by 1e-6 and is made exact.
     Quaternion,
     /// An array of points `[x, y, z]`.
@@ -126,6 +130,8 @@ impl fmt::Display for Kind {
                 Ok(())
             }
             Self::Floats(length, range) => write!(f, "{length} numbers, each {range}"),
+            Self::Integers(length, min, max) => write!(f, "{length} different integers, each {min} to {max}"),
+            Self::Texts(length, most) => write!(f, "{length} strings of 1 to {most} bytes"),
             Self::Quaternion => f.write_str("[w, x, y, z] of norm 1"),
             Self::Points(length) => write!(f, "{length} points [x, y, z]"),
             Self::Table(_) => f.write_str("table"),

@@ -7,9 +7,9 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
+use crate::config::{ArmConfig, GovernorConfig, PlannerConfig};
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
-use crate::config::{ArmConfig, GovernorConfig, PlannerConfig};
 use crate::posture::{
     Inverse, InverseSettings, Met, Outcome, POSE, Reference, ReferenceSettings, RestingArm, Surroundings, Wanted,
     pose_error, pose_weights, segment_lengths,
@@ -262,7 +262,14 @@ impl Governor {
     }
 
     /// One tick of `h` seconds towards what is wanted; `curvatures` (1/m) are those of the arm. Does not allocate.
-    pub fn advance(&mut self, h: f64, wish: &Wish<'_>, q: &[f64], curvatures: &[f64], around: Option<&Surroundings<'_>>) {
+    pub fn advance(
+        &mut self,
+        h: f64,
+        wish: &Wish<'_>,
+        q: &[f64],
+        curvatures: &[f64],
+        around: Option<&Surroundings<'_>>,
+    ) {
         self.before_desired.copy_from_slice(&self.desired);
         match *wish {
             Wish::Rest => {
@@ -538,8 +545,7 @@ impl Governor {
             let gap = Vector3::new(lacks[0], lacks[1], lacks[2]).norm();
             let turn = Vector3::new(lacks[3], lacks[4], lacks[5]).norm();
             let least = |size: f64, most: f64| if share * size > most { most / size } else { share };
-            let (sr, st) =
-                (least(gap, self.settings.speed_mps * h), least(turn, self.settings.turn_rate_radps * h));
+            let (sr, st) = (least(gap, self.settings.speed_mps * h), least(turn, self.settings.turn_rate_radps * h));
             let mut change = [0.0; POSE];
             for r in 0..POSE {
                 change[r] = moved[r] - if r < 3 { sr } else { st } * lacks[r];

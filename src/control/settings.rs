@@ -1,7 +1,8 @@
 //! Everything that the cycle is built from.
 
 use crate::config::{
-    ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig, WeightsConfig,
+    ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig,
+    WeightsConfig,
 };
 
 /// Settings of a [`super::Cycle`], checked where they were read.

@@ -4,20 +4,25 @@
 //! Enters: frames of every bus, the control thread's wish. Leaves: `encoders` in shared memory, the drives' state for
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
-use super::drive_causes::{HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NOT_USABLE, cause_of, cause_text};
+use super::drive_causes::{
+    HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
+};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
-use crate::config::{BusConfig, Config};
+use crate::config::{BusConfig, BusKind, Config};
 use crate::control::{DrivesInput, DrivesPhase};
 use crate::ipc::SourcePublisher;
 use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
-use sinew_hal::canopen::Message;
 use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
+use sinew_hal::canopen::{Message, NodeId};
+use sinew_hal::cia402::objects::{EVENT_TIMER, GUARD, RPDO_COMMUNICATION, TORQUE_SLOPE};
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
 use sinew_hal::clock::{Naps, monotonic_ns};
 use sinew_hal::load::{BitRates, Shape};
 use sinew_hal::motor_bank::MotorBank;
+use sinew_hal::virtual_bus::{Role, is_claimed};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -32,14 +37,19 @@ const TURN_ALONE: Duration = Duration::from_millis(1);
 const FRAMES_PER_TURN: usize = 128;
 /// Pause between two attempts to bring drives up (ns).
 const RETRY_NS: u64 = 1_000_000_000;
-/// In lockstep: real time without a frame after which what is missing is given up (ns). Long, for whoever is silent may have
-/// no processor, or an emulated one; shorter than the loop waits for the encoders, so that it learns which drives are missing.
+/// In lockstep: real time without a frame after which what is missing is given up (ns), unless the process that stands for
+/// the drives is known to live: then nothing but its end ends the waiting. Long, for whoever is silent may have no processor,
+/// or an emulated one.
 const SILENCE_NS: u64 = 4_000_000_000;
 /// Silence that shows that all answers have come (ns).
 const QUIET_NS: u64 = 50_000_000;
 /// Time that drives are given for their answers to a SYNC at any period (ns): two dozen frames on a shared bus take a good
 /// part of a millisecond.
 const ANSWERS_NS: u64 = 2_000_000;
+/// Heartbeats under the master's own node id, above those that it sent, that show another node.
+const OWN_HEARTBEATS: u64 = 2;
+/// Interval at which is asked whether the plant lives (ns).
+const LIVES_NS: u64 = 500_000_000;
 /// Interval of the statistics (ns).
 const STATISTICS_NS: u64 = 500_000_000;
 
@@ -53,6 +63,8 @@ struct Line {
     frames: u64,
     /// Lockstep: the newest cycle that the plant has said to be over.
     over: u64,
+    /// Heartbeats under the master's own node id.
+    own_heartbeats: u64,
 }
 
 /// Everything that the bus thread owns.
@@ -68,6 +80,7 @@ pub(crate) struct BusThread {
     lengths: Vec<f64>,
     memory: Vec<Memory>,
     node_to_drive: Vec<(usize, u8)>,
+    master_node: NodeId,
     time: LoopTime,
     period_ns: u64,
     /// Cycle whose answers belong to tick 0 (lockstep).
@@ -86,6 +99,14 @@ pub(crate) struct BusThread {
     counts_up: (usize, usize),
     /// Cycles without an answer after which a drive's state is unknown.
     mute_cycles: u64,
+    /// Virtual buses, whose drives are a process that can be asked for; empty where a bus is none.
+    virtual_buses: Vec<String>,
+    /// What drives lack, as it was told last.
+    lack: BTreeMap<String, usize>,
+    /// The bus on which another node was heard under the master's id.
+    id_taken_on: Option<usize>,
+    /// Whether it lived when it was asked for last, and when that was (ns).
+    lives: (bool, u64),
     shared: Arc<Shared>,
     statistics_ns: u64,
     /// The loop's time at the last statistics (ns).
@@ -112,10 +133,12 @@ impl BusThread {
             load: 0.0,
             frames: 0,
             over: 0,
+            own_heartbeats: 0,
         };
         Self {
             lines: buses.into_iter().zip(&config.drives.buses).map(line).collect(),
             decoder: master.decoder(),
+            master_node: master.config().node,
             master,
             bank,
             link,
@@ -136,6 +159,13 @@ impl BusThread {
             taken: vec![0; config.drives.drives.len()],
             counts_up: (0, 0),
             mute_cycles: (config.drives.heartbeat_timeout_s / config.timing.period_s).ceil() as u64,
+            virtual_buses: match config.drives.buses.iter().all(|bus| bus.kind == BusKind::Virtual) {
+                true => config.drives.buses.iter().map(|bus| bus.interface.clone()).collect(),
+                false => Vec::new(),
+            },
+            lack: BTreeMap::new(),
+            id_taken_on: None,
+            lives: (false, 0),
             shared,
             statistics_ns: 0,
             statistics_loop_ns: 0,
@@ -158,7 +188,8 @@ impl BusThread {
             if state.ready == state.drives {
                 break;
             }
-            if now_ns.saturating_sub(begun_ns) > within.as_nanos() as u64 || progress.stop.load(Ordering::Acquire) {
+            let late = now_ns.saturating_sub(begun_ns) > within.as_nanos() as u64 && !self.plant_lives();
+            if late || progress.stop.load(Ordering::Acquire) {
                 return Err(state.ready);
             }
             self.retry(now_ns, state.failed);
@@ -200,7 +231,8 @@ impl BusThread {
                 silence = Naps::begin();
             }
             if self.time.is_lockstep() {
-                self.lockstep(heard.cycle, silence.waited_ns());
+                let stops = progress.stop.load(Ordering::Acquire);
+                self.lockstep(heard.cycle, silence.waited_ns(), stops);
             } else {
                 self.follow(monotonic_ns());
                 self.publish_late(real_ns);
@@ -223,13 +255,18 @@ impl BusThread {
     /// Lockstep: everything happens at the end of a cycle, which is the plant's mark, or the last answer to a SYNC where
     /// drives are alone, so that a run does not depend on when this thread was scheduled; the state is there before the
     /// encoders that release the tick.
-    fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64) {
+    fn lockstep(&mut self, complete: Option<u64>, silent_ns: u64, stops: bool) {
         let cycle = match complete {
             // A late answer can complete a cycle that was given up: its tick has been.
             Some(cycle) if cycle <= self.published => return,
             Some(cycle) => cycle,
             // Somebody does not answer any more: what there is goes out, and the guard has its say.
-            None if silent_ns > SILENCE_NS && self.published < self.decoder.cycle() => self.decoder.cycle(),
+            None if silent_ns > SILENCE_NS
+                && self.published < self.decoder.cycle()
+                && (stops || !self.plant_lives()) =>
+            {
+                self.decoder.cycle()
+            }
             None => return,
         };
         let tick = cycle.saturating_sub(self.base_cycle);
@@ -280,6 +317,20 @@ impl BusThread {
         let now_ns = if lockstep { self.epoch_ns + self.time.now_ns() } else { now_ns };
         self.master.on_frame(bus, received, now_ns);
         let message = Message::of(&received.frame);
+        if message == Some(Message::Heartbeat(self.master_node)) {
+            self.lines[bus].own_heartbeats += 1;
+            // This handle hears the master's own too.
+            if self.lines[bus].own_heartbeats > self.master.heartbeats() + OWN_HEARTBEATS && self.id_taken_on.is_none()
+            {
+                let node = self.master_node.get();
+                tracing::error!(
+                    bus,
+                    node,
+                    "another node has sinew's own node id: its heartbeats would keep drives alive"
+                );
+                self.id_taken_on = Some(bus);
+            }
+        }
         if let Some(Message::Heartbeat(node)) = message
             && let Some(drive) = self.node_to_drive.iter().position(|d| *d == (bus, node.get()))
         {
@@ -336,6 +387,16 @@ impl BusThread {
     /// last answer: the mark would come into the next one and end that before its time.
     fn is_marked(&self) -> bool {
         self.lines.iter().any(|line| line.over > 0)
+    }
+
+    /// Whether a process is known to stand for the drives. One that is stopped, or has no processor, lives.
+    fn plant_lives(&mut self) -> bool {
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(self.lives.1) > LIVES_NS {
+            let claimed = self.virtual_buses.iter().all(|bus| is_claimed(bus, Role::Drives));
+            self.lives = (claimed && !self.virtual_buses.is_empty(), now_ns);
+        }
+        self.lives.0
     }
 
     /// All drives.
@@ -474,6 +535,9 @@ impl BusThread {
             ready += usize::from(up && cause.is_none() && status.statusword.is_some());
             fault = fault.or(cause.map(|cause| (cable as u16, cause)));
         }
+        if self.id_taken_on.is_some() {
+            fault = fault.or(Some((0, NODE_ID_TAKEN)));
+        }
         let count = self.memory.len();
         // Off only when the last one has gone all the way: an ordered stop waits for that.
         let phase = match (enabled, powered) {
@@ -483,7 +547,8 @@ impl BusThread {
         };
         self.counts_up = (ready, enabled);
         let bus_lost = (0..self.lines.len()).find(|bus| self.is_lost(*bus)).map(|bus| bus as u16);
-        self.input = DrivesInput { phase, ready: ready == count, fault, bus_lost };
+        let ready = ready == count && self.id_taken_on.is_none();
+        self.input = DrivesInput { phase, ready, fault, bus_lost };
         self.link.write(self.input);
     }
 
@@ -527,18 +592,41 @@ impl BusThread {
             }
         };
         let buses = self.lines.iter_mut().enumerate().map(line).collect();
+        let mut lack = BTreeMap::new();
+        for status in self.master.status() {
+            status.absent.iter().for_each(|object| *lack.entry(lacking(*object)).or_insert(0) += 1);
+        }
+        if lack != self.lack {
+            lack.iter().for_each(|(what, drives)| tracing::warn!(drives, "drives lack {what}"));
+            self.lack.clone_from(&lack);
+        }
         let first = self.input.fault;
         let drives = DriveStatus {
             count: self.memory.len(),
             ready: self.counts_up.0,
             enabled: self.counts_up.1,
+            lack,
             fault: first.map(|(cable, cause)| {
                 let (bus, node) = self.node_to_drive[usize::from(cable)];
-                format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause))
+                match self.id_taken_on {
+                    Some(bus) if cause == NODE_ID_TAKEN => format!("bus {bus}: {}", cause_text(cause)),
+                    _ => format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause)),
+                }
             }),
         };
         self.shared.set_wires(buses, drives);
     }
+}
+
+/// What an object that a drive lacks would protect against.
+fn lacking((index, sub): (u16, u8)) -> String {
+    let what = match (index, sub) {
+        (RPDO_COMMUNICATION, EVENT_TIMER) => "the time-out of torques, ",
+        (GUARD, _) => "the guard of SYNC, ",
+        (TORQUE_SLOPE, _) => "the slope of torque, ",
+        _ => "",
+    };
+    format!("{what}{index:04x}:{sub:02x}")
 }
 
 /// What a round of listening brought.

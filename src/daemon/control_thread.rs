@@ -8,6 +8,8 @@ use super::warm_up::warm_up;
 use crate::config::Config;
 use crate::control::{Cycle, DrivesPhase, Mode, Settings};
 use crate::estimator::Observer;
+use crate::ipc::intake::SourceLog;
+use crate::ipc::payload::Header;
 use crate::ipc::{ControlInputs, ControlOutputs, LockstepSources};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -42,7 +44,7 @@ pub(crate) struct Plan {
     pub(crate) ticks: u64,
     pub(crate) around_tick: Option<fn(&mut dyn FnMut())>,
     pub(crate) sources: LockstepSources,
-    pub(crate) lockstep_timeout: Duration,
+    pub(crate) lockstep_timeout: Option<Duration>,
     /// Where the times after sending go.
     pub(crate) after: Producer<AfterSending>,
     pub(crate) progress: Arc<Progress>,
@@ -222,22 +224,34 @@ fn run_lockstep(
     }
 }
 
-/// Waits for the inputs of a tick. A source that does not deliver in time is not waited for until it is back: the arm
-/// goes on without it, and its age leads to the declared action or to a fault.
+/// Waits for the inputs of a tick, however long they take: a run must not depend on how busy the machine is. A client whose
+/// process or port has ended is not waited for until it, or another in its place, sends again; the arm goes on without it,
+/// and its age leads to the declared action or to a fault. The encoders come from this process.
 struct Gate {
     sources: LockstepSources,
     waiting_for: LockstepSources,
-    timeout_ns: u64,
+    /// What a source had sent when it was given up, in the order of `sources`: the target, then the obstacles.
+    given_up_at: Vec<Option<Header>>,
+    timeout_ns: Option<u64>,
     period: Duration,
+    told: bool,
 }
 
 /// Clients' time-out once the stop is asked for (ns): they may have gone already. The drives are still needed.
 const STOP_TIMEOUT_NS: u64 = 200_000_000;
+/// The drives' own, once the stop is asked for (ns): longer than the bus thread waits for a plant that has gone.
+const STOP_DRIVES_NS: u64 = 6_000_000_000;
+/// How long an operator's order waits for inputs (ns).
+const ORDER_NS: u64 = 50_000_000;
+/// Waiting that is told of (ns).
+const TELL_NS: u64 = 5_000_000_000;
 
 impl Gate {
-    fn new(sources: LockstepSources, timeout: Duration, period_ns: u64) -> Self {
-        let timeout_ns = timeout.as_nanos() as u64;
-        Self { waiting_for: sources.clone(), sources, timeout_ns, period: Duration::from_nanos(period_ns) }
+    fn new(sources: LockstepSources, timeout: Option<Duration>, period_ns: u64) -> Self {
+        let given_up_at = vec![None; 1 + sources.obstacles.len()];
+        let timeout_ns = timeout.map(|timeout| timeout.as_nanos() as u64);
+        let period = Duration::from_nanos(period_ns);
+        Self { waiting_for: sources.clone(), sources, given_up_at, timeout_ns, period, told: false }
     }
 
     fn wait(&mut self, inputs: &mut ControlInputs, tick: u64, progress: &Progress) {
@@ -251,29 +265,55 @@ impl Gate {
         while !inputs.is_ready_for(tick, &self.waiting_for) {
             naps.nap();
             let waited_ns = naps.waited_ns();
-            if progress.stop.load(Ordering::Acquire) && waited_ns > STOP_TIMEOUT_NS {
-                self.give_up_clients(inputs, tick);
-            }
-            if waited_ns > self.timeout_ns {
-                self.give_up_clients(inputs, tick);
+            let stops = progress.stop.load(Ordering::Acquire);
+            let late = self.timeout_ns.is_some_and(|timeout_ns| waited_ns > timeout_ns)
+                || stops && waited_ns > STOP_TIMEOUT_NS;
+            self.give_up_clients(inputs, tick, !late);
+            if stops && waited_ns > STOP_DRIVES_NS || progress.bus_gone.load(Ordering::Acquire) {
                 self.waiting_for.encoders &= inputs.encoders().is_ready_for(tick);
+            }
+            if inputs.has_direct_command() && waited_ns > ORDER_NS {
+                // This tick is the operator's; the next waits again.
+                return;
+            }
+            if waited_ns > TELL_NS && !self.told {
+                self.told = true;
+                tracing::warn!(tick, waits_for = ?self.waiting_for, "lockstep waits for inputs, without a limit");
             }
             inputs.update();
         }
     }
 
-    /// No longer waits for clients that have not delivered.
-    fn give_up_clients(&mut self, inputs: &ControlInputs, tick: u64) {
-        self.waiting_for.target &= inputs.target().is_ready_for(tick);
-        self.waiting_for.obstacles.retain(|id| inputs.obstacles().is_ready_for(tick, &[*id]));
+    /// No longer waits for clients that have not delivered: for those that are gone, or for all.
+    fn give_up_clients(&mut self, inputs: &ControlInputs, tick: u64, only_gone: bool) {
+        let gives_up = |log: Option<&SourceLog>| !only_gone || log.is_some_and(SourceLog::is_gone);
+        let target = inputs.target();
+        if self.waiting_for.target && !target.is_ready_for(tick) && gives_up(Some(target.log())) {
+            self.waiting_for.target = false;
+            self.given_up_at[0] = target.log().last;
+        }
+        let (sources, given_up_at) = (&self.sources.obstacles, &mut self.given_up_at);
+        self.waiting_for.obstacles.retain(|id| {
+            let log = inputs.obstacles().log(*id);
+            let stays = inputs.obstacles().is_ready_for(tick, &[*id]) || !gives_up(log);
+            if let (false, Some(place)) = (stays, sources.iter().position(|source| source == id)) {
+                given_up_at[1 + place] = log.and_then(|log| log.last);
+            }
+            stays
+        });
     }
 
-    /// Waits again for those who are back.
+    /// Waits again for those who have sent since they were given up: whoever comes back may be behind by some ticks at
+    /// first, and would never catch up with a loop that does not wait.
     fn take_back(&mut self, inputs: &ControlInputs, tick: u64) {
         self.waiting_for.encoders |= self.sources.encoders && inputs.encoders().is_ready_for(tick);
-        self.waiting_for.target |= self.sources.target && inputs.target().is_ready_for(tick);
-        for id in &self.sources.obstacles {
-            if !self.waiting_for.obstacles.contains(id) && inputs.obstacles().is_ready_for(tick, &[*id]) {
+        let is_back = |log: Option<&SourceLog>, given_up_at: &Option<Header>| {
+            log.is_some_and(|log| !log.is_gone() && log.last.is_some() && log.last != *given_up_at)
+        };
+        let target = Some(inputs.target().log());
+        self.waiting_for.target |= self.sources.target && is_back(target, &self.given_up_at[0]);
+        for (id, given_up_at) in self.sources.obstacles.iter().zip(&self.given_up_at[1..]) {
+            if !self.waiting_for.obstacles.contains(id) && is_back(inputs.obstacles().log(*id), given_up_at) {
                 // Within the capacity that it was cloned with.
                 self.waiting_for.obstacles.push(*id);
             }

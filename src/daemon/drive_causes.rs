@@ -6,7 +6,7 @@
 use sinew_hal::cia402::Fault;
 
 /// The master's own, each at its number.
-const CAUSES: [&str; 9] = [
+const CAUSES: [&str; 10] = [
     "fault without an emergency object",
     "not usable: configuration failed",
     "no boot-up after the reset",
@@ -16,6 +16,7 @@ const CAUSES: [&str; 9] = [
     "a transition of the power state machine did not happen",
     "no feedback",
     "left torque operation by itself",
+    "another node has sinew's own node id; change it, or `drives.master_node_id`",
 ];
 
 /// A drive fault's cause in words.
@@ -35,6 +36,7 @@ pub(super) const HEARTBEAT_LOST: u32 = 5;
 const NO_TRANSITION: u32 = 6;
 pub(super) const NO_FEEDBACK: u32 = 7;
 const LEFT_OPERATION: u32 = 8;
+pub(super) const NODE_ID_TAKEN: u32 = 9;
 
 pub(super) fn cause_of(fault: &Fault) -> u32 {
     match fault {

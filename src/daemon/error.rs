@@ -7,6 +7,7 @@ use sinew_hal::bus_config::OpenError;
 use sinew_hal::cia402::config::SetupError;
 use sinew_hal::motor_bank::ChannelError;
 use sinew_hal::realtime::NotRealtime;
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// The daemon did not start, or could not go on.
@@ -66,6 +67,9 @@ pub enum DaemonError {
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// The recording ended before the run did.
+    #[error("the recording ended early: it is not complete (the log says why); the arm was stopped in order")]
+    RecordingEnded,
     /// Real time is required and not granted.
     #[error(transparent)]
     NotRealtime(#[from] NotRealtime),
@@ -96,13 +100,23 @@ pub enum DaemonError {
         /// In all.
         drives: usize,
     },
-    /// The status socket is taken.
-    #[error("status socket of arm \"{arm}\": {source}")]
-    StatusSocket {
-        /// The arm.
-        arm: String,
+    /// The arm's socket cannot be made.
+    #[error("socket {path}: {source}", path = path.display())]
+    Socket {
+        /// Its path.
+        path: PathBuf,
         /// Why.
         source: std::io::Error,
+    },
+    /// A user or group that this machine does not have.
+    #[error("[access] {key}: this machine has no {kind} \"{name}\"; those of a directory service are given by number")]
+    Access {
+        /// The key.
+        key: &'static str,
+        /// User or group.
+        kind: &'static str,
+        /// Its name.
+        name: String,
     },
 }
 

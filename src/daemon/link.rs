@@ -121,10 +121,14 @@ pub(crate) struct Progress {
     pub(crate) ticks: AtomicU64,
     /// 1: the control thread has ended; 2: in a fault.
     ended: AtomicU8,
+    /// The bus thread has ended, by itself or not: no encoders will come.
+    pub(crate) bus_gone: AtomicBool,
     /// The bus thread may end.
     pub(crate) bus_stop: AtomicBool,
     /// The I/O thread may end.
     pub(crate) io_stop: AtomicBool,
+    /// The operator thread may end.
+    pub(crate) operator_stop: AtomicBool,
 }
 
 impl Progress {

@@ -9,7 +9,8 @@
 //! | control | SCHED_FIFO, pinned, absolute deadlines | inputs, [`crate::control::Cycle`], torques onto the bus, record |
 //! | bus | SCHED_FIFO, one below | feedback into shared memory as `encoders`; brings drives up and down |
 //! | I/O | SCHED_FIFO, two below | every port of shared memory, both ways; statistics, recorder's queue |
-//! | main | normal | signals, `sd_notify`, status socket |
+//! | operator | SCHED_FIFO, three below | the arm's socket: stop, hold, disarm, past everything above but the control thread |
+//! | main | normal | signals, `sd_notify`, reports for those who ask over the socket |
 //!
 //! The control thread allocates, locks and formats nothing once its first tick has begun, and touches no port: inputs come
 //! through triple buffers, torques leave by its own handles of the buses, records through a ring that drops and counts
@@ -25,6 +26,7 @@
 //! before tick 0. With a seed a run gives the same tensions bit for bit; requests of operators fall on whatever tick they
 //! meet, so a run that shall be repeated uses [`Options::auto`].
 
+pub mod alarms;
 mod bus_thread;
 mod control_thread;
 mod deadlines;
@@ -33,6 +35,7 @@ mod error;
 mod heart;
 mod link;
 mod obstacles;
+pub mod operator;
 mod records;
 mod setup;
 mod statistics;
@@ -52,16 +55,17 @@ pub use records::{fault_of_code, refusal_text};
 pub use setup::{BusLoad, bus_loads, check, master_config, motor_bank};
 pub use statistics::{Percentiles, Stages};
 pub use threads::ThreadReport;
-pub use tick::{AutoRequests, limits};
+pub use tick::{AutoRequests, FIRST_SYNC, limits};
 
 use crate::config::Config;
 use crate::control::Settings;
 use crate::ipc::{
     ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
 };
-use crate::recording::Recorder;
+use crate::recording::{Bounds, Recorder, wall_clock_offset_ns};
 use bus_thread::BusThread;
 use link::{LoopTime, Progress, drives_link};
+use operator::{Address, Desk, OperatorSocket};
 use sinew_hal::can::{CanBus, Filter};
 use sinew_hal::cia402::Master;
 use sinew_hal::realtime;
@@ -82,7 +86,8 @@ pub struct LockstepOptions {
     pub obstacles: Vec<u32>,
     /// A task client that sends a target for every tick.
     pub target: bool,
-    /// Real time after which a source that does not deliver is no longer waited for; `None` for 5 s.
+    /// Real time after which a source that does not deliver is no longer waited for until it does again; `None`: only the end
+    /// of its process ends the waiting.
     pub timeout: Option<Duration>,
 }
 
@@ -134,8 +139,13 @@ pub fn domain(config: &Config) -> Domain {
     }
 }
 
-/// Name of a domain for the status socket.
-pub fn domain_name(domain: &Domain) -> String {
+/// Where the daemon of a configuration listens for `stop`, `hold`, `disarm` and `status`.
+pub fn address(config: &Config) -> Address {
+    Address::new(&domain(config), &config.ipc.arm, config.ipc.run_path.as_deref())
+}
+
+/// What keeps domains apart.
+fn domain_name(domain: &Domain) -> String {
     let [(_, prefix), (_, root)] = domain.env();
     format!("{}{}", root.to_string_lossy(), prefix.to_string_lossy())
 }
@@ -162,9 +172,12 @@ pub struct Daemon {
     control: Option<JoinHandle<()>>,
     bus: Option<JoinHandle<()>>,
     io: Option<JoinHandle<()>>,
+    operator: Option<JoinHandle<()>>,
     failed_start: mpsc::Receiver<DaemonError>,
     /// The first thread that was found to have panicked.
     panicked: Option<&'static str>,
+    /// Whether the recording ended before the run.
+    recording_failed: Arc<AtomicBool>,
 }
 
 impl Daemon {
@@ -187,19 +200,33 @@ impl Daemon {
         let domain = domain(config);
         let arm = &config.ipc.arm;
         let ports = open_ports(&domain, arm)?;
-        let server = StatusServer::bind(&domain_name(&domain), arm)?;
+        let socket = OperatorSocket::bind(&address(config), &config.access)?;
+        tracing::info!(path = %socket.path().display(), "listening for stop, hold, disarm and status");
+        let (asks_status, server) = StatusServer::new();
         let lockstep = options.lockstep.is_some();
         let shared = Arc::new(Shared::new(Fixed {
             arm: arm.clone(),
             lockstep,
             period_s: config.timing.period_s,
             buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
+            required: config.obstacles.required.clone(),
         }));
         let progress = Arc::new(Progress::default());
         let mut daemon = {
             let (_, none) = mpsc::channel();
             let (progress, shared) = (progress.clone(), shared.clone());
-            Self { progress, shared, server, control: None, bus: None, io: None, failed_start: none, panicked: None }
+            Self {
+                progress,
+                shared,
+                server,
+                control: None,
+                bus: None,
+                io: None,
+                operator: None,
+                failed_start: none,
+                panicked: None,
+                recording_failed: Arc::default(),
+            }
         };
 
         let (masters, listeners) = bus_handles(config)?;
@@ -208,19 +235,30 @@ impl Daemon {
         let time = LoopTime::new(lockstep);
 
         let sources = options.lockstep.clone().unwrap_or_default();
-        let declared = sources.obstacles.clone();
+        let mut declared = config.obstacles.required.clone();
+        declared.extend(sources.obstacles.iter().filter(|id| !config.obstacles.required.contains(id)));
         let segments = config.arm.segments.len();
-        let (inputs, outputs, ends) = channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
+        let (inputs, outputs, ends, direct) =
+            channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
         let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
         let recorder = match &options.record {
-            Some(path) => Some(Recorder::start(path, arm, &about(options), 0)?),
+            Some(path) => {
+                // In lockstep times are the loop's own, which no other clock knows.
+                let offset_ns = if lockstep { 0 } else { wall_clock_offset_ns() };
+                Some(Recorder::start_within(path, arm, &about(options), offset_ns, bounds(config))?)
+            }
             None => None,
         };
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
+        daemon.recording_failed = recorder.as_ref().map(Recorder::failed).unwrap_or_default();
         let (notes, after) = TickNotes::new(shared.clone());
         let taps = Taps { pairs, notes, recorder };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
+        daemon.operator = Some(spawn("sinew-operator", below(3), {
+            let (progress, desk) = (progress.clone(), Desk::new(socket, direct, asks_status));
+            move || desk.run(&progress.operator_stop)
+        })?);
         daemon.io = Some(spawn("sinew-io", below(2), {
             let (progress, time) = (progress.clone(), time.clone());
             let pace = if lockstep { Pace::Lockstep } else { pace(config.timing.period_s) };
@@ -250,7 +288,7 @@ impl Daemon {
             ticks: options.ticks.unwrap_or(u64::MAX),
             around_tick: options.around_tick,
             sources: LockstepSources { encoders: true, target: sources.target, obstacles: sources.obstacles },
-            lockstep_timeout: sources.timeout.unwrap_or(Duration::from_secs(5)),
+            lockstep_timeout: sources.timeout,
             after,
             progress: progress.clone(),
         };
@@ -264,7 +302,10 @@ impl Daemon {
         shared.set_refused(refused);
         daemon.bus = Some(spawn("sinew-bus", below(1), {
             let progress = progress.clone();
-            move || run_bus(bus, writer, &to_control, &failed, &progress)
+            move || {
+                let _gone = GoneAtTheEnd(&progress);
+                run_bus(bus, writer, &to_control, &failed, &progress);
+            }
         })?);
         Ok(daemon)
     }
@@ -294,7 +335,7 @@ impl Daemon {
         self.control.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Serves the status socket and tells `beat` how many ticks there were, at least ten times a second, until the loop
+    /// Gives reports to those who ask and tells `beat` how many ticks there were, at least ten times a second, until the loop
     /// has ended: after [`Daemon::stop`], or when `stop` is set, or a thread panicked.
     ///
     /// The loop does not outlive a thread beside it: without the bus thread nobody sends the heartbeat or sees the drives,
@@ -302,13 +343,14 @@ impl Daemon {
     /// left here stops in order, as far as it can, and the error is for a new start.
     ///
     /// # Errors
-    /// The drives did not come up in lockstep, or a thread panicked.
+    /// The drives did not come up in lockstep, a thread panicked, or what was to be recorded is not (the log says why).
     pub fn wait(mut self, stop: &AtomicBool, mut beat: impl FnMut(u64)) -> Result<Ending, DaemonError> {
         while !self.is_over() {
             if stop.load(Ordering::Relaxed) {
                 self.stop();
             }
             self.notice_panics();
+            self.shared.watch(self.recording_failed.load(Ordering::Acquire));
             let asked = self.serve();
             beat(self.ticks());
             if asked {
@@ -321,6 +363,9 @@ impl Daemon {
             return Err(error);
         }
         joined?;
+        if self.recording_failed.load(Ordering::Acquire) && self.progress.ended() != Some(true) {
+            return Err(DaemonError::RecordingEnded);
+        }
         match self.progress.ended() {
             Some(true) => Ok(Ending::Faulted),
             _ => Ok(Ending::Stopped),
@@ -329,7 +374,8 @@ impl Daemon {
 
     /// Looks at the threads beside the control thread, whose end [`Self::wait`] sees anyway.
     fn notice_panics(&mut self) {
-        for (name, thread) in [("sinew-bus", &mut self.bus), ("sinew-io", &mut self.io)] {
+        let beside = [("sinew-bus", &mut self.bus), ("sinew-io", &mut self.io), ("sinew-operator", &mut self.operator)];
+        for (name, thread) in beside {
             if let Some(ended) = thread.take_if(|thread| thread.is_finished())
                 && ended.join().is_err()
             {
@@ -341,13 +387,14 @@ impl Daemon {
     }
 
     /// Ends the threads in order: control first, so that nothing is sent into a void; the bus, whose master sees the
-    /// drives off; the I/O thread last, with what the others still had to say.
+    /// drives off; the I/O thread, with what the others still had to say; last, whoever tells operators.
     fn join(&mut self) -> Result<(), DaemonError> {
         self.progress.stop.store(true, Ordering::Release);
         let threads = [
             ("sinew-control", self.control.take(), None),
             ("sinew-bus", self.bus.take(), Some(&self.progress.bus_stop)),
             ("sinew-io", self.io.take(), Some(&self.progress.io_stop)),
+            ("sinew-operator", self.operator.take(), Some(&self.progress.operator_stop)),
         ];
         for (name, thread, flag) in threads {
             if let Some(flag) = flag {
@@ -415,6 +462,15 @@ fn run_bus(
     }
 }
 
+/// Says that no encoders will come any more, also where the thread panicked.
+struct GoneAtTheEnd<'a>(&'a Progress);
+
+impl Drop for GoneAtTheEnd<'_> {
+    fn drop(&mut self) {
+        self.0.bus_gone.store(true, Ordering::Release);
+    }
+}
+
 /// One handle of each bus.
 type Handles = Vec<Box<dyn CanBus>>;
 
@@ -448,6 +504,15 @@ fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError>
     }
     settings.start_tensions_n.clone_from(tensions);
     Ok(settings)
+}
+
+fn bounds(config: &Config) -> Bounds {
+    let recording = &config.recording;
+    Bounds {
+        file_bytes: recording.file_mib << 20,
+        total_bytes: recording.total_mib.map(|mib| mib << 20),
+        free_bytes: recording.free_mib << 20,
+    }
 }
 
 fn about(options: &Options) -> BTreeMap<String, String> {
@@ -485,10 +550,10 @@ mod tests {
     use super::*;
 
     /// A daemon of threads that do nothing but what the test wants of them.
-    fn daemon(name: &str, bus: fn(&Progress), io: fn(&Progress)) -> Daemon {
+    fn daemon(bus: fn(&Progress), io: fn(&Progress)) -> Daemon {
         let progress = Arc::new(Progress::default());
         let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), period_s: 0.01, ..Fixed::default() }));
-        let server = StatusServer::bind(&format!("supervised-{}-{name}", std::process::id()), "arm").unwrap();
+        let (_, server) = StatusServer::new();
         let thread = |name, body: Box<dyn FnOnce(&Progress) + Send>| {
             let progress = progress.clone();
             Some(spawn(name, 0, move || body(&progress)).unwrap())
@@ -506,7 +571,9 @@ mod tests {
         );
         let (bus, io) = (thread("sinew-bus", Box::new(bus)), thread("sinew-io", Box::new(io)));
         let (_, failed_start) = mpsc::channel();
-        Daemon { progress: progress.clone(), shared, server, control, bus, io, failed_start, panicked: None }
+        let progress = progress.clone();
+        let (operator, panicked, recording_failed) = (None, None, Arc::default());
+        Daemon { progress, shared, server, control, bus, io, operator, failed_start, panicked, recording_failed }
     }
 
     fn until(flag: &AtomicBool) {
@@ -523,7 +590,7 @@ mod tests {
         let panics: fn(&Progress) = |_| panic!("on purpose");
         for (name, bus, io) in [("sinew-bus", panics, IO), ("sinew-io", BUS, panics)] {
             // Nobody asks for the stop.
-            let ended = daemon(name, bus, io).wait(&AtomicBool::new(false), |_| {});
+            let ended = daemon(bus, io).wait(&AtomicBool::new(false), |_| {});
             assert!(matches!(ended, Err(DaemonError::Panic { name: found }) if found == name), "{name}: {ended:?}");
         }
     }
@@ -531,7 +598,7 @@ mod tests {
     #[test]
     fn threads_that_live_or_end_in_order_do_not_end_the_loop() {
         let (stop, mut ticks) = (AtomicBool::new(false), 0);
-        let daemon = daemon("lives", BUS, |_| {});
+        let daemon = daemon(BUS, |_| {});
         let ended = daemon.wait(&stop, |done| {
             ticks = done;
             stop.store(done > 100, Ordering::Relaxed);

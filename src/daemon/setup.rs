@@ -1,13 +1,13 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig};
+use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig, Protection};
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
 use sinew_hal::canopen::NodeId;
 use sinew_hal::cia402::objects::TORQUE_SLOPE;
-use sinew_hal::cia402::{DriveSetup, Layout, MasterConfig, ObjectWrite, Order};
+use sinew_hal::cia402::{DriveSetup, Identity, Layout, MasterConfig, ObjectWrite, Order};
 use sinew_hal::load::BitRates;
 use sinew_hal::motor_bank::{MotorBank, MotorChannel, Sense};
 
@@ -94,8 +94,15 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
     Ok(MotorBank::new(config.drives.drives.iter().zip(lengths).map(channel).collect())?)
 }
 
+/// What the drive is said to permit (per mille of its rated torque).
 fn torque_permille_max(drive: &DriveConfig) -> u16 {
     (1000.0 * drive.torque_nm_max / drive.rated_torque_nm).round().clamp(0.0, 65535.0) as u16
+}
+
+/// What the drive is told to permit: no more than the arm's largest tension needs, whatever a frame on the bus says.
+fn torque_permille_limit(drive: &DriveConfig, tension_n_max: f64) -> u16 {
+    let permille = (1000.0 * drive.torque_nm(tension_n_max) / drive.rated_torque_nm * (1.0 + 1e-12)).floor();
+    torque_permille_max(drive).min(permille.clamp(0.0, 65535.0) as u16)
 }
 
 /// The master's settings.
@@ -105,6 +112,7 @@ fn torque_permille_max(drive: &DriveConfig) -> u16 {
 pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let drives = &config.drives;
     let sync_timeout_us = microseconds(drives.sync_timeout_s);
+    let may_lack = |protection| drives.accept_without.contains(&protection);
     let mut setups = Vec::with_capacity(drives.drives.len());
     for drive in &drives.drives {
         let node = NodeId::new(drive.node_id).map_err(|_| DaemonError::NodeId { found: drive.node_id })?;
@@ -112,27 +120,31 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
         let safe = f64::from(drive.sign) * (drives.safe_tension_n * permille_per_n).round();
         let safe = safe.clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16;
         // From the largest torque to zero in the time given.
-        let slope = f64::from(torque_permille_max(drive)) / drives.safe_ramp_s.max(1e-3);
+        let limit = torque_permille_limit(drive, config.arm.tension_n_max);
+        let slope = f64::from(limit) / drives.safe_ramp_s.max(1e-3);
         let mut setup = DriveSetup::new(drive.bus, node);
         setup.rated_torque_mnm = Some((1000.0 * drive.rated_torque_nm).round() as u32);
-        setup.torque_permille_max = torque_permille_max(drive);
-        // A foreign drive may lack these: its consumer heartbeat (1016) protects it all the same.
+        setup.torque_permille_max = limit;
+        setup.identity = Identity { vendor: drive.vendor_id, product: drive.product_code, ..Identity::default() };
         let slope = ObjectWrite {
             index: TORQUE_SLOPE,
             sub: 0,
             data: (slope.round() as u32).to_le_bytes().to_vec(),
-            optional: true,
+            optional: may_lack(Protection::TorqueSlope),
         };
-        let guard = ObjectWrite::sinew_guard(sync_timeout_us, safe).map(|w| ObjectWrite { optional: true, ..w });
-        setup.writes = guard.into_iter().chain([slope]).collect();
+        // Objects of a vendor mean something else on another's drive.
+        let guard = drive.is_simulated().then(|| ObjectWrite::sinew_guard(sync_timeout_us, safe));
+        setup.writes = guard.into_iter().flatten().chain([slope]).collect();
         setups.push(setup);
     }
-    let own = (1..=127).rev().find(|id| drives.drives.iter().all(|drive| drive.node_id != *id));
+    let free = |id: &u8| drives.drives.iter().all(|drive| drive.node_id != *id);
+    let own = drives.master_node_id.or_else(|| (1..=127).rev().find(free));
     let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
     master.layouts = drives.buses.iter().map(|bus| layout(bus.layout)).collect();
     // Torques come with every SYNC, and may be missing as long as it. Rounded up: the event timer counts milliseconds.
     master.rpdo_timeout_ms = sync_timeout_us.div_ceil(1000).min(u32::from(u16::MAX)) as u16;
+    master.rpdo_timeout_optional = may_lack(Protection::RpdoTimeout);
     master.heartbeat_ms = milliseconds(drives.heartbeat_s);
     master.heartbeat_timeout_ms = milliseconds(drives.heartbeat_timeout_s);
     master.drive_heartbeat_ms = milliseconds(drives.heartbeat_s);
@@ -275,10 +287,47 @@ mod tests {
     }
 
     #[test]
+    fn a_drive_is_told_to_permit_no_more_than_the_arms_largest_tension() {
+        // Its own limit is 1000 per mille: 233 N.
+        for (most_n, permille) in [(220.0, 942), (105.0, 450), (233.3, 999)] {
+            let config = config(|c| c.arm.tension_n_max = most_n);
+            let limit = master_config(&config).unwrap().drives[0].torque_permille_max;
+            assert_eq!(limit, permille, "{most_n} N");
+            assert!(motor_bank(&config).unwrap().channels()[0].decode_tension(limit as i16) <= most_n);
+        }
+    }
+
+    #[test]
+    fn objects_of_a_vendor_are_written_to_its_own_drives_alone_and_after_they_have_shown_who_they_are() {
+        let writes = |change: fn(&mut Config)| master_config(&config(change)).unwrap().drives[3].clone();
+        let simulated = writes(|_| {});
+        assert_eq!((simulated.identity.vendor, simulated.identity.product), (Some(0), Some(0x5349_4e57)));
+        assert!(simulated.writes.iter().any(|w| w.index == 0x2000));
+        for foreign in [
+            writes(|c| c.drives.drives[3].vendor_id = None),
+            writes(|c| c.drives.drives[3].vendor_id = Some(0x9a)),
+            writes(|c| c.drives.drives[3].product_code = Some(1)),
+        ] {
+            assert!(foreign.writes.iter().all(|w| !(0x2000..0x6000).contains(&w.index)), "{foreign:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_drive_may_lack_is_said_by_the_configuration() {
+        let strict = master_config(&config(|_| {})).unwrap();
+        assert!(!strict.rpdo_timeout_optional && strict.drives[0].writes.iter().all(|w| !w.optional));
+        let accepts = master_config(&config(|c| c.drives.accept_without = Protection::ALL.to_vec())).unwrap();
+        assert!(accepts.rpdo_timeout_optional);
+        assert!(accepts.drives[0].writes.iter().any(|w| w.index == TORQUE_SLOPE && w.optional));
+    }
+
+    #[test]
     fn the_master_has_a_node_id_that_no_drive_has() {
         let config = config(|c| c.drives.drives[23].node_id = 127);
         let master = master_config(&config).unwrap();
         assert_eq!(master.node.get(), 126);
         assert!(master.check(1).is_ok());
+        let config = self::config(|c| c.drives.master_node_id = Some(100));
+        assert_eq!(master_config(&config).unwrap().node.get(), 100);
     }
 }

@@ -1,19 +1,19 @@
-//! What the daemon tells about itself: a report as JSON, over a socket without a file.
+//! What the daemon tells about itself: a report as JSON, over the arm's socket ([`super::operator`]).
 //!
 //! Shared memory carries the record of every tick; percentiles, buses, rights and sources over the whole run are for
-//! people and dashboards, and come from here. The socket lives in Linux's abstract name space, so a killed daemon leaves
-//! nothing behind. One connection, one report, closed.
+//! people and dashboards, and come from here. One connection, one report, closed.
 
-use super::error::DaemonError;
+use super::alarms::{Alarm, Alarms, Seen};
+use super::operator::{Address, OperatorError, Said, Word};
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
 use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::{self, Read, Write};
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::io::Write;
+use std::os::unix::net::UnixStream;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::Duration;
 
@@ -73,6 +73,8 @@ pub struct DriveStatus {
     pub enabled: usize,
     /// The first in fault: which, and why.
     pub fault: Option<String>,
+    /// Protection that drives lack and the configuration accepts: object and number of drives.
+    pub lack: BTreeMap<String, usize>,
 }
 
 /// A source of inputs.
@@ -105,6 +107,8 @@ pub struct StatusReport {
     pub mode: String,
     /// The latched fault.
     pub fault: Option<FaultStatus>,
+    /// What is wrong now, the fault among it.
+    pub alarms: Vec<Alarm>,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -148,6 +152,8 @@ pub(crate) struct Fixed {
     pub(crate) period_s: f64,
     /// Name, computed load, limit.
     pub(crate) buses: Vec<(String, f64, f64)>,
+    /// Obstacle sources that must be there.
+    pub(crate) required: Vec<u32>,
 }
 
 /// What is set now and then.
@@ -178,6 +184,8 @@ pub(crate) struct Shared {
     fixed: Fixed,
     inner: Mutex<Inner>,
     ticks: Mutex<Ticks>,
+    /// The main thread's own; under a lock only because a report may be asked for by others.
+    alarms: Mutex<Alarms>,
 }
 
 /// Ticks whose times are kept while a report is made; a report that takes longer loses the rest.
@@ -223,7 +231,7 @@ impl TickNotes {
 
 impl Shared {
     pub(crate) fn new(fixed: Fixed) -> Self {
-        Self { fixed, inner: Mutex::default(), ticks: Mutex::default() }
+        Self { fixed, inner: Mutex::default(), ticks: Mutex::default(), alarms: Mutex::default() }
     }
 
     /// A thread that panicked leaves numbers, which are as good as any.
@@ -247,6 +255,20 @@ impl Shared {
 
     pub(crate) fn set_recorder(&self, dropped: Arc<std::sync::atomic::AtomicU64>) {
         self.lock().recording_dropped = Some(dropped);
+    }
+
+    /// Looks at what is wrong now, and tells of what has changed; for the main thread, some times a second.
+    pub(crate) fn watch(&self, recording_failed: bool) {
+        let state = self.ticks.lock().unwrap_or_else(PoisonError::into_inner).state.clone();
+        let (drives, realtime_refused) = {
+            let inner = self.lock();
+            (inner.drives.clone(), inner.realtime_refused.clone())
+        };
+        let state = state.as_deref();
+        let fault = state.and_then(|s| fault_status(s.fault_code, s.fault_detail, drives.fault.as_deref()));
+        let (required, realtime_refused) = (&self.fixed.required[..], &realtime_refused[..]);
+        let seen = Seen { state, fault, drives, required, realtime_refused, recording_failed };
+        self.alarms.lock().unwrap_or_else(PoisonError::into_inner).update(&seen);
     }
 
     /// The report as of now.
@@ -286,6 +308,7 @@ impl Shared {
             lockstep: fixed.lockstep,
             mode: mode_text(state.supervisor).into(),
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
+            alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,
@@ -347,30 +370,25 @@ fn source_status(report: &SourceReport) -> SourceStatus {
     }
 }
 
-/// Name of the socket of an arm in a domain (prefix and root path keep domains apart, as in shared memory).
-fn address(domain: &str, arm: &str) -> io::Result<SocketAddr> {
-    SocketAddr::from_abstract_name(format!("sinew/{domain}/{arm}/status"))
-}
-
-/// Answers whoever connects.
+/// Gives the report to those who ask for it over the arm's socket, on the main thread.
 #[derive(Debug)]
-pub(crate) struct StatusServer(UnixListener);
+pub(crate) struct StatusServer(Receiver<UnixStream>);
+
+/// How many may wait for a report.
+const WAITING_MAX: usize = 16;
 
 impl StatusServer {
-    pub(crate) fn bind(domain: &str, arm: &str) -> Result<Self, DaemonError> {
-        let bind = || {
-            let listener = UnixListener::bind_addr(&address(domain, arm)?)?;
-            listener.set_nonblocking(true)?;
-            Ok(listener)
-        };
-        bind().map(Self).map_err(|source| DaemonError::StatusSocket { arm: arm.to_owned(), source })
+    /// With the end for those who ask.
+    pub(crate) fn new() -> (SyncSender<UnixStream>, Self) {
+        let (to, from) = sync_channel(WAITING_MAX);
+        (to, Self(from))
     }
 
     /// Serves one of those who wait, so that whoever asks without end cannot keep the caller from its other duties;
     /// whether there was one.
     pub(crate) fn serve(&self, shared: &Shared) -> bool {
-        let Ok((mut stream, _)) = self.0.accept() else { return false };
-        let answer = serde_json::to_vec(&shared.report()).unwrap_or_default();
+        let Ok(mut stream) = self.0.try_recv() else { return false };
+        let answer = serde_json::to_vec(&Said::Status(Box::new(shared.report()))).unwrap_or_default();
         // Whoever does not read is not worth waiting for.
         let sent = stream
             .set_nonblocking(false)
@@ -383,20 +401,18 @@ impl StatusServer {
     }
 }
 
-/// Asks the daemon of an arm for its report; `None` if none answers.
+/// Asks the daemon of an arm for its report; `None` if none runs.
 ///
 /// # Errors
-/// It answers with something else: another version.
-pub fn ask(domain: &str, arm: &str) -> io::Result<Option<StatusReport>> {
-    let mut stream = match UnixStream::connect_addr(&address(domain, arm)?) {
-        Ok(stream) => stream,
-        Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => return Ok(None),
-        Err(e) => return Err(e),
-    };
-    stream.set_read_timeout(Some(Duration::from_secs(5)))?;
-    let mut text = Vec::new();
-    stream.read_to_end(&mut text)?;
-    serde_json::from_slice(&text).map(Some).map_err(io::Error::other)
+/// [`OperatorError`]: it does not answer, or not to this user, or is of another version.
+pub fn ask(address: &Address) -> Result<Option<StatusReport>, OperatorError> {
+    match address.ask(Word::Status, Duration::from_secs(5)) {
+        Ok(Said::Status(report)) => Ok(Some(*report)),
+        Ok(Said::Refused(why)) => Err(OperatorError::Refused { why }),
+        Ok(Said::Answer(_)) => Err(OperatorError::Refused { why: "an answer to something else".into() }),
+        Err(OperatorError::NoDaemon(_)) => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 #[cfg(test)]
@@ -404,13 +420,18 @@ mod tests {
     use super::super::statistics::Branch;
     use super::*;
     use crate::ipc::payload::Header;
+    use std::io::Read;
 
     #[test]
-    fn a_report_comes_back_through_the_socket_as_it_was() {
-        let domain = format!("test-{}", std::process::id());
-        assert!(ask(&domain, "arm").unwrap().is_none(), "nobody listens");
+    fn a_report_comes_back_as_it_was() {
         let buses = vec![("bus0".to_owned(), 0.5, 0.7)];
-        let shared = Arc::new(Shared::new(Fixed { arm: "arm".into(), lockstep: true, period_s: 0.01, buses }));
+        let shared = Arc::new(Shared::new(Fixed {
+            arm: "arm".into(),
+            lockstep: true,
+            period_s: 0.01,
+            buses,
+            ..Fixed::default()
+        }));
         let mut state = State {
             header: Header { tick: 41, ..Header::default() },
             fault_code: 20,
@@ -420,13 +441,20 @@ mod tests {
         state.obstacle_sources[0].source_id = 7;
         state.obstacle_sources[0].rejected[RejectCause::NotFinite.wire() as usize] = 2;
         TickNotes::new(shared.clone()).0.note(&state);
-        let server = StatusServer::bind(&domain, "arm").unwrap();
-        assert!(StatusServer::bind(&domain, "arm").is_err(), "one daemon, one socket");
-        let asking = std::thread::spawn(move || ask(&domain, "arm").unwrap().unwrap());
-        while !asking.is_finished() {
-            server.serve(&shared);
-        }
-        let report = asking.join().unwrap();
+        let (ask, server) = StatusServer::new();
+        let (mut asking, asked) = UnixStream::pair().unwrap();
+        ask.try_send(asked).unwrap();
+        // The report is longer than a socket holds: somebody must read meanwhile.
+        let asking = std::thread::spawn(move || {
+            let mut text = Vec::new();
+            asking.read_to_end(&mut text).unwrap();
+            text
+        });
+        assert!(server.serve(&shared));
+        let Said::Status(report) = serde_json::from_slice(&asking.join().unwrap()).unwrap() else {
+            panic!("no report")
+        };
+        let report = *report;
         let threads = |report: StatusReport| StatusReport { threads: Vec::new(), ..report };
         assert_eq!(threads(report.clone()), threads(shared.report()), "threads go on meanwhile");
         assert!(report.threads.len() > 1, "{:?}", report.threads);
@@ -439,16 +467,16 @@ mod tests {
 
     #[test]
     fn one_look_serves_one_who_asks() {
-        let domain = format!("test-turns-{}", std::process::id());
         let shared = Shared::new(Fixed { arm: "arm".into(), ..Fixed::default() });
-        let server = StatusServer::bind(&domain, "arm").unwrap();
+        let (ask, server) = StatusServer::new();
         assert!(!server.serve(&shared), "nobody asks");
-        let asking = [(); 3].map(|()| UnixStream::connect_addr(&address(&domain, "arm").unwrap()).unwrap());
+        let (asking, asked): (Vec<_>, Vec<_>) = (0..3).map(|_| UnixStream::pair().unwrap()).unzip();
+        asked.into_iter().for_each(|stream| ask.try_send(stream).unwrap());
         for served in 0..3 {
             let mut waiting = asking[served..].iter();
             let unanswered = |mut stream: &UnixStream| {
                 stream.set_nonblocking(true).unwrap();
-                stream.read(&mut [0]).is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
+                stream.read(&mut [0]).is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock)
             };
             assert!(waiting.all(unanswered), "after {served} looks");
             assert!(server.serve(&shared));

@@ -7,7 +7,7 @@ use super::obstacles::PairReader;
 use super::records;
 use super::statistics::Branch;
 use super::watch::Watch;
-use crate::config::{Config, WarningBranch};
+use crate::config::{Config, LostAction, WarningBranch};
 use crate::control::{
     Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Request,
     Target, TargetInput, TickInputs, Timing,
@@ -31,6 +31,7 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
         stale_after_s: policy.stale_after_s,
         hold_after_s: policy.hold_after_s,
         growth_mps: policy.growth_mps,
+        growth_m_max: policy.growth_m_max,
         sigma_multiple: policy.sigma_multiple,
         future_tolerance_s: policy.future_tolerance_s + ahead_s,
     };
@@ -50,6 +51,9 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
     };
     IoLimits { obstacles, target, encoders }
 }
+
+/// Code of the event that tells, by its value, how many SYNCs had been sent with that of tick 0.
+pub const FIRST_SYNC: u32 = 500;
 
 /// What the loop asks for by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -130,6 +134,7 @@ pub(crate) struct Controller<E> {
     time: LoopTime,
     limits: IoLimits,
     require_source: bool,
+    stop_if_lost: bool,
     lookahead_s: f64,
     period_ns: u64,
     rng: Xoshiro256PlusPlus,
@@ -172,6 +177,7 @@ impl<E: Estimator> Controller<E> {
             auto,
             limits: limits(config, time_is_lockstep),
             require_source: config.obstacles.require_source,
+            stop_if_lost: config.obstacles.lost == LostAction::Stop,
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
             warning: match config.planner.warning {
@@ -201,7 +207,8 @@ impl<E: Estimator> Controller<E> {
         let valid = self.read_encoders();
         let capture_ns = self.inputs.encoders().latest().map_or(0, |m| m.header.capture_ns);
         let target = self.target(now_ns);
-        let (request, command) = self.next_request(stop, &drives, demand, target.is_some_and(|t| t.fresh));
+        let lost = self.stop_if_lost && self.inputs.obstacles().is_lost(now_ns, &self.limits.obstacles);
+        let (request, command) = self.next_request(stop || lost, &drives, demand, target.is_some_and(|t| t.fresh));
         let began_ns = monotonic_ns();
 
         let mut watch = Watch::new(time.budget, now_ns, began_ns);
@@ -216,7 +223,7 @@ impl<E: Estimator> Controller<E> {
         let _ = self.bank.encode_into(self.cycle.tensions_n(), &mut self.torques);
         // Answers to this SYNC belong to the next tick.
         self.time.advance_to(now_ns + self.period_ns);
-        let _ = writer.write_cycle(&self.torques);
+        let cycle = writer.write_cycle(&self.torques).cycle;
         let sent_ns = monotonic_ns();
 
         let [estimated_ns, planned_ns, guarded_ns] = watch.marks_ns();
@@ -235,6 +242,12 @@ impl<E: Estimator> Controller<E> {
             send_ns: sent_ns.saturating_sub(sending_ns),
             cycle_ns: sent_ns.saturating_sub(time.woke_ns),
         };
+        if time.tick == 0 {
+            // What lays a recording and the drives' own beside each other.
+            let (time_ns, value) = (now_ns, cycle as f64);
+            let text = "number of the SYNC of tick 0";
+            self.outputs.event(crate::ipc::Event { time_ns, tick: 0, code: FIRST_SYNC, detail: 0, value, text });
+        }
         self.publish(time);
         let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
         if let (Some(command), Some(answer)) = (command, &output.answer) {
@@ -265,7 +278,8 @@ impl<E: Estimator> Controller<E> {
 
     /// Whether any source of obstacles was heard and has not left.
     fn any_source(&self) -> bool {
-        self.state.obstacle_sources.iter().any(|source| source.health != SourceHealth::Absent.wire())
+        let none = [SourceHealth::Absent, SourceHealth::Refused].map(SourceHealth::wire);
+        self.state.obstacle_sources.iter().any(|source| !none.contains(&source.health))
     }
 
     /// Copies the newest readings; which of them count.

@@ -27,7 +27,7 @@ impl Bench {
     fn new(latency_ticks: usize) -> Self {
         let mut config = Config::parse(builtin_texts("drives.toml")).unwrap();
         config.observer.latency_ticks = latency_ticks;
-        let (inputs, outputs, mut ends) = channels(24, 4, &[], ChannelCapacity::default());
+        let (inputs, outputs, mut ends, _) = channels(24, 4, &[], ChannelCapacity::default());
         let (mut builder, obstacles) = pairs(8);
         let mut set = Obstacles { header: Header::new(3, 0, NOW), ..Obstacles::default() };
         let ball = Obstacle::ball(1, [0.3, 0.1, -1.0], 0.1);

@@ -8,6 +8,9 @@ use super::payload::{RefusalReason, RequestKind, State, SupervisorState, Verdict
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
+/// Bit of the tickets that go the direct way, around the I/O thread.
+const DIRECT: u64 = 1 << 63;
+
 /// An operator's request on its way to the supervisor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Command {
@@ -108,6 +111,7 @@ pub struct ControlInputs {
     target: Output<TargetTrack>,
     obstacles: Output<ObstacleTable>,
     commands: Consumer<Command>,
+    direct: Consumer<Command>,
 }
 
 impl ControlInputs {
@@ -133,9 +137,14 @@ impl ControlInputs {
         self.obstacles.output_buffer()
     }
 
-    /// The next command; `None` if there is none.
+    /// The next command; `None` if there is none. Those that came the direct way precede the others.
     pub fn next_command(&mut self) -> Option<Command> {
-        self.commands.pop().ok()
+        self.direct.pop().or_else(|_| self.commands.pop()).ok()
+    }
+
+    /// Whether a command waits that came the direct way.
+    pub fn has_direct_command(&self) -> bool {
+        !self.direct.is_empty()
     }
 
     /// Lockstep: whether all inputs of a tick are here. Call [`ControlInputs::update`] before.
@@ -151,6 +160,7 @@ impl ControlInputs {
 pub struct ControlOutputs {
     records: Producer<State>,
     replies: Producer<Reply>,
+    direct_replies: Producer<Reply>,
     events: Producer<Event>,
     dropped: u64,
 }
@@ -164,9 +174,11 @@ impl ControlOutputs {
         pushed
     }
 
-    /// Answers a command; `false` if the ring was full (the I/O thread then answers that nobody did). Wait-free.
+    /// Answers a command on the way by which it came; `false` if the ring was full (whoever waits at its end then answers
+    /// that nobody did). Wait-free.
     pub fn reply(&mut self, reply: Reply) -> bool {
-        self.replies.push(reply).is_ok()
+        let ring = if reply.ticket & DIRECT == 0 { &mut self.replies } else { &mut self.direct_replies };
+        ring.push(reply).is_ok()
     }
 
     /// Hands over an event; `false`, and counted with the records, if the ring was full. Wait-free.
@@ -194,23 +206,60 @@ pub struct IoEnds {
     pub(crate) events: Consumer<Event>,
 }
 
+/// The end of the direct way to the control thread, which shares nothing with the I/O thread and shared memory.
+#[derive(Debug)]
+pub struct DirectEnd {
+    commands: Producer<Command>,
+    replies: Consumer<Reply>,
+    next: u64,
+}
+
+impl DirectEnd {
+    /// Asks the control thread; the ticket of its answer. `None` if too many commands wait. Wait-free.
+    pub fn ask(&mut self, kind: RequestKind) -> Option<u64> {
+        let ticket = DIRECT | self.next;
+        self.commands.push(Command { ticket, kind }).ok()?;
+        self.next += 1;
+        Some(ticket)
+    }
+
+    /// The next answer; `None` if there is none. Wait-free.
+    pub fn next_reply(&mut self) -> Option<Reply> {
+        self.replies.pop().ok()
+    }
+}
+
 /// Makes all channels. Allocates everything that they ever use.
 pub fn channels(
     cable_count: usize,
     segment_count: usize,
     declared_sources: &[u32],
     capacity: ChannelCapacity,
-) -> (ControlInputs, ControlOutputs, IoEnds) {
+) -> (ControlInputs, ControlOutputs, IoEnds, DirectEnd) {
     let (encoders_in, encoders_out) = triple_buffer(&EncoderTable::new(cable_count));
     let (target_in, target_out) = triple_buffer(&TargetTrack::new(segment_count));
     let (obstacles_in, obstacles_out) = triple_buffer(&ObstacleTable::new(declared_sources));
     let (commands_in, commands_out) = RingBuffer::new(capacity.commands);
+    let (direct_in, direct_out) = RingBuffer::new(capacity.commands);
+    let (direct_replies_in, direct_replies_out) = RingBuffer::new(capacity.commands);
     let (records_in, records_out) = RingBuffer::new(capacity.records);
     let (replies_in, replies_out) = RingBuffer::new(capacity.commands);
     let (events_in, events_out) = RingBuffer::new(capacity.events);
     (
-        ControlInputs { encoders: encoders_out, target: target_out, obstacles: obstacles_out, commands: commands_out },
-        ControlOutputs { records: records_in, replies: replies_in, events: events_in, dropped: 0 },
+        ControlInputs {
+            encoders: encoders_out,
+            target: target_out,
+            obstacles: obstacles_out,
+            commands: commands_out,
+            direct: direct_out,
+        },
+        ControlOutputs {
+            records: records_in,
+            replies: replies_in,
+            direct_replies: direct_replies_in,
+            events: events_in,
+            dropped: 0,
+        },
         IoEnds {
             encoders: encoders_in,
             target: target_in,
@@ -220,6 +269,7 @@ pub fn channels(
             replies: replies_out,
             events: events_out,
         },
+        DirectEnd { commands: direct_in, replies: direct_replies_out, next: 0 },
     )
 }
 
@@ -230,7 +280,7 @@ mod tests {
     #[test]
     fn a_full_ring_drops_and_counts_and_the_next_record_says_so() {
         let capacity = ChannelCapacity { records: 2, ..ChannelCapacity::default() };
-        let (_inputs, mut outputs, mut io) = channels(24, 4, &[], capacity);
+        let (_inputs, mut outputs, mut io, _) = channels(24, 4, &[], capacity);
         let mut state = State::default();
         let pushed: Vec<bool> = (0..4).map(|_| outputs.record(&mut state)).collect();
         assert_eq!(pushed, [true, true, false, false]);
@@ -241,19 +291,25 @@ mod tests {
 
     #[test]
     fn the_control_thread_reads_and_writes_without_allocating() {
-        let (mut inputs, mut outputs, mut io) = channels(24, 4, &[], ChannelCapacity::default());
+        let (mut inputs, mut outputs, mut io, mut direct) = channels(24, 4, &[], ChannelCapacity::default());
         let mut state = State::default();
         let mut tracked = crate::ipc::intake::TrackedSet::new();
         let limits = crate::ipc::intake::InputLimits::default();
         assert!(io.commands.push(Command { ticket: 1, kind: RequestKind::Arm }).is_ok());
+        let ticket = direct.ask(RequestKind::Stop).unwrap();
         assert_no_alloc::assert_no_alloc(|| {
             inputs.update();
             inputs.obstacles().track_into(1, 0.1, &limits, &mut tracked);
             inputs.obstacles().report_into(1, &limits, &mut state);
-            let command = inputs.next_command().unwrap();
-            outputs.reply(Reply::accepted(&command, SupervisorState::Holding));
+            for kind in [RequestKind::Stop, RequestKind::Arm] {
+                let command = inputs.next_command().unwrap();
+                assert!(command.kind == kind, "the direct way precedes");
+                outputs.reply(Reply::accepted(&command, SupervisorState::Holding));
+            }
             outputs.record(&mut state);
         });
         assert_eq!(io.replies.pop().unwrap().ticket, 1);
+        assert_eq!(direct.next_reply().unwrap().ticket, ticket);
+        assert!(io.replies.pop().is_err() && direct.next_reply().is_none(), "each by the way it came");
     }
 }

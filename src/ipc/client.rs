@@ -1,13 +1,14 @@
 //! The clients' side of the services: perception, tasks, operators, viewers, other sensors.
 
 use super::IpcError;
-use super::domain::{Domain, Ipc, Session};
+use super::domain::{Domain, Ipc, SET_UP, Session, cause, within};
 use super::payload::{Encoders, Header, Obstacles, Request, RequestKind, Response, State, Target};
-use super::ports::{port_error, send, subscribe};
+use super::ports::{lives, port_error, send, subscribe};
 use super::service::{self, Message};
 use iceoryx2::port::client::Client as RequestPort;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -25,6 +26,7 @@ const POLL: Duration = Duration::from_micros(200);
 pub struct Client {
     arm: String,
     requests: RequestPort<Ipc, Request, (), Response, ()>,
+    service: service::Requests,
     sequence: u64,
     session: Arc<Session>,
 }
@@ -35,16 +37,17 @@ impl Client {
     /// # Errors
     /// [`IpcError::NoDaemon`] if none runs for the arm, [`IpcError::IncompatiblePayload`] if it is of another version.
     pub fn connect(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
+        let (domain, arm) = (domain.clone(), arm.to_owned());
+        within(SET_UP, move || Self::set_up(&domain, &arm)).map_err(cause)
+    }
+
+    fn set_up(domain: &Domain, arm: &str) -> Result<Self, IpcError> {
         let session = Session::open(domain, "sinew client")?;
         let service = service::open_requests(&session, arm)?;
         let requests = service.client_builder().create().map_err(|e| port_error(e, arm, "request", "client"))?;
-        let client = Self { arm: arm.to_owned(), requests, sequence: 0, session };
+        let client = Self { arm: arm.to_owned(), requests, service, sequence: 0, session };
         // A service outlives its daemon while another client has it open.
-        use iceoryx2::prelude::PortFactory;
-        if service.dynamic_config().number_of_servers() == 0 {
-            return Err(client.no_daemon());
-        }
-        Ok(client)
+        if client.has_daemon() { Ok(client) } else { Err(client.no_daemon()) }
     }
 
     /// Connects as soon as a daemon runs.
@@ -63,6 +66,16 @@ impl Client {
         }
     }
 
+    /// Whether the daemon is there: it has not left, and its process has not ended.
+    pub fn has_daemon(&self) -> bool {
+        let mut found = false;
+        self.service.dynamic_config().list_servers(|details| {
+            found |= details.node_id.pid::<Ipc>().is_ok_and(|pid| lives(pid.value()));
+            CallbackProgression::Continue
+        });
+        found
+    }
+
     fn no_daemon(&self) -> IpcError {
         IpcError::NoDaemon { arm: self.arm.clone() }
     }
@@ -72,8 +85,12 @@ impl Client {
     /// # Errors
     /// [`IpcError::Full`] if the service has no place left.
     pub fn publisher<T: Message>(&self, source_id: u32) -> Result<SourcePublisher<T>, IpcError> {
-        let topic = service::open::<T>(&self.session, &self.arm)?;
-        let port = topic.publisher_builder().create().map_err(|e| port_error(e, &self.arm, T::SERVICE, "publisher"))?;
+        let (session, arm) = (self.session.clone(), self.arm.clone());
+        let port = within(SET_UP, move || {
+            let topic = service::open::<T>(&session, &arm)?;
+            topic.publisher_builder().create().map_err(|e| port_error(e, &arm, T::SERVICE, "publisher"))
+        })
+        .map_err(cause)?;
         Ok(SourcePublisher { port, source_id, sequence: 0, _session: self.session.clone() })
     }
 
@@ -94,8 +111,9 @@ impl Client {
 
     /// A subscriber of any of the publish-subscribe services; sees the newest message of each publisher.
     pub fn subscriber<T: Message>(&self) -> Result<NewestSubscriber<T>, IpcError> {
-        let topic = service::open::<T>(&self.session, &self.arm)?;
-        Ok(NewestSubscriber { port: subscribe(&topic, &self.arm)?, _session: self.session.clone() })
+        let (session, arm) = (self.session.clone(), self.arm.clone());
+        let port = within(SET_UP, move || subscribe(&service::open::<T>(&session, &arm)?, &arm)).map_err(cause)?;
+        Ok(NewestSubscriber { port, _session: self.session.clone() })
     }
 
     /// A subscriber of the daemon's records.

@@ -1,5 +1,6 @@
 //! What can go wrong between processes.
 
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// An operation on shared memory failed.
@@ -50,6 +51,20 @@ pub enum IpcError {
         arm: String,
         /// The time waited (s).
         timeout_s: f64,
+    },
+    /// A folder or file that cannot be trusted or had.
+    #[error("{path} is not used: {why}", path = path.display())]
+    Foreign {
+        /// The folder or file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Shared memory cannot be set up, for a cause that was found.
+    #[error("shared memory cannot be used: {why}")]
+    Unusable {
+        /// The cause, and what mends it.
+        why: String,
     },
     /// Anything else that iceoryx2 reports.
     #[error("{operation} failed for {service}: {cause}")]

@@ -88,6 +88,27 @@ const OPEN_REQUESTS_MAX: usize = 16;
 /// Records and events moved in one pass, so that inputs are not starved.
 const MOVED_PER_PASS: usize = 64;
 
+/// Lockstep: silence after which is looked who is gone (ns).
+const GONE_NS: u64 = 100_000_000;
+
+/// Rejections of obstacles that have been told of: each source and cause once.
+#[derive(Debug, Default)]
+struct Told(Vec<(u32, RejectCause)>);
+
+impl Told {
+    /// Whoever sends under ever new ids is not told of without end.
+    const MAX: usize = 64;
+
+    fn tell(&mut self, source_id: u32, cause: RejectCause) {
+        // What a service's history holds of the dead is in order.
+        let ordinary = [RejectCause::TooOld, RejectCause::Sequence].contains(&cause);
+        if !ordinary && self.0.len() < Self::MAX && !self.0.contains(&(source_id, cause)) {
+            self.0.push((source_id, cause));
+            tracing::warn!(source_id, "obstacle set refused: {}", cause.text());
+        }
+    }
+}
+
 /// The loop between ports and channels.
 #[derive(Debug)]
 pub struct IoThread<T: Tap = ()> {
@@ -101,6 +122,7 @@ pub struct IoThread<T: Tap = ()> {
     next_ticket: u64,
     last: (u32, u32, u32),
     port_errors: u64,
+    told: Told,
     tap: T,
 }
 
@@ -112,20 +134,40 @@ impl<T: Tap> IoThread<T> {
         let encoders = ends.encoders.input_buffer_mut().clone();
         let open = Vec::with_capacity(OPEN_REQUESTS_MAX);
         let last = (SupervisorState::Disarmed.wire(), 0, 0);
-        Self { ports, ends, limits, obstacles, target, encoders, open, next_ticket: 0, last, port_errors: 0, tap }
+        Self {
+            ports,
+            ends,
+            limits,
+            obstacles,
+            target,
+            encoders,
+            open,
+            next_ticket: 0,
+            last,
+            port_errors: 0,
+            told: Told::default(),
+            tap,
+        }
     }
 
     /// Runs until `stop` is set, then moves what is left and answers what waits. `now` is the clock.
     pub fn run(mut self, pace: Pace, stop: &AtomicBool, now: impl Fn() -> u64) {
         let mut naps = Naps::begin();
+        let mut looked_ns = 0;
         while !stop.load(Ordering::Acquire) {
             if self.poll(&now) > 0 {
-                naps = Naps::begin();
+                (naps, looked_ns) = (Naps::begin(), 0);
                 continue;
             }
             match pace {
                 Pace::RealTime { sleep } => std::thread::sleep(sleep.min(Duration::from_micros(200))),
-                Pace::Lockstep => naps.nap(),
+                Pace::Lockstep => {
+                    naps.nap();
+                    if naps.waited_ns().saturating_sub(looked_ns) > GONE_NS {
+                        looked_ns = naps.waited_ns();
+                        self.look_for_the_gone();
+                    }
+                }
             }
         }
         self.poll(&now);
@@ -161,6 +203,27 @@ impl<T: Tap> IoThread<T> {
         moved
     }
 
+    /// Lockstep: finds out who will not deliver any more.
+    fn look_for_the_gone(&mut self) {
+        let mut found = false;
+        for port in self.obstacles.publishers().into_iter().filter(|port| *port != 0) {
+            if self.ports.may_replace_obstacles(port, 0) {
+                self.obstacles.set_gone(port);
+                found = true;
+            }
+        }
+        if found {
+            self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
+            self.ends.obstacles.publish();
+        }
+        let port = self.target.publisher();
+        if port != 0 && self.ports.may_replace_target(port, 0) {
+            self.target.set_gone();
+            self.ends.target.input_buffer_mut().copy_from(&self.target);
+            self.ends.target.publish();
+        }
+    }
+
     fn move_records(&mut self) -> Result<usize, IpcError> {
         let mut moved = 0;
         while moved < MOVED_PER_PASS
@@ -185,18 +248,30 @@ impl<T: Tap> IoThread<T> {
     }
 
     fn move_inputs(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
-        let Self { ports, ends, limits, obstacles, target, encoders, tap, .. } = self;
-        let taken_obstacles = ports.take_obstacles(|message| {
-            if obstacles.accept(message, now(), &limits.obstacles).is_ok() {
-                tap.obstacles(message);
+        let Self { ports, ends, limits, obstacles, target, encoders, tap, told, .. } = self;
+        let taken_obstacles = ports.take_obstacles(|message, port| {
+            let id = message.header.source_id;
+            if let Some(other) = obstacles.taken_by(id, port)
+                && ports.may_replace_obstacles(other, port)
+            {
+                obstacles.set_gone(other);
+            }
+            match obstacles.accept_from(message, port, now(), &limits.obstacles) {
+                Ok(()) => tap.obstacles(message),
+                Err(cause) => told.tell(id, cause),
             }
         })?;
         if taken_obstacles > 0 {
             ends.obstacles.input_buffer_mut().copy_from(obstacles);
             ends.obstacles.publish();
         }
-        let taken_targets = ports.take_targets(|message| {
-            if target.accept(message, now(), &limits.target).is_ok() {
+        let taken_targets = ports.take_targets(|message, port| {
+            if let Some(other) = target.taken_by(port)
+                && ports.may_replace_target(other, port)
+            {
+                target.set_gone();
+            }
+            if target.accept_from(message, port, now(), &limits.target).is_ok() {
                 tap.target(message);
             }
         })?;
@@ -204,9 +279,9 @@ impl<T: Tap> IoThread<T> {
             ends.target.input_buffer_mut().copy_from(target);
             ends.target.publish();
         }
-        let taken_encoders = ports.take_encoders(|message| {
+        let taken_encoders = ports.take_encoders(|message, port| {
             // Rejections are counted in the table and reported in `State`.
-            let _ = encoders.accept(message, now(), &limits.encoders);
+            let _ = encoders.accept_from(message, port, now(), &limits.encoders);
         })?;
         if taken_encoders > 0 {
             ends.encoders.input_buffer_mut().clone_from(encoders);

@@ -13,6 +13,7 @@ pub mod intake;
 mod io_thread;
 pub mod payload;
 mod ports;
+pub(crate) mod run_dir;
 mod service;
 
 pub use channels::*;
@@ -21,4 +22,5 @@ pub use domain::{Domain, PREFIX_VARIABLE, ROOT_VARIABLE};
 pub use error::*;
 pub use io_thread::*;
 pub use ports::DaemonPorts;
+pub use run_dir::{RUN_VARIABLE, run_dir};
 pub use service::{Message, service_name};

@@ -12,10 +12,12 @@
 //! one second of recorded time).
 
 mod cdr;
+mod files;
 mod reader;
 mod recorder;
 mod schema;
 
+pub use files::{Bounds, utc_text, wall_clock_offset_ns};
 pub use reader::{RecordedMessage, read, read_each};
 pub use recorder::{Recorder, Recording};
 

@@ -2,6 +2,7 @@
 
 use super::RecordingError;
 use super::cdr::{Fields, encode, encode_into, schema};
+use super::files::{Bounds, Files};
 use crate::ipc::payload::{Obstacles, SCHEMA_VERSION, State, Target};
 use crate::ipc::{Event, Tap, service_name};
 use mcap::records::{MessageHeader, Metadata};
@@ -12,7 +13,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -26,6 +27,9 @@ const QUEUE: usize = 2048;
 const BUFFER: usize = 4096;
 /// How often the thread looks into the queue.
 const LOOK: Duration = Duration::from_millis(5);
+
+/// Bytes after which is looked how long the file has become, and how much room there is.
+const LOOK_BYTES: u64 = 1 << 20;
 
 /// Channels of a recording, in the order of their ids.
 #[derive(Debug, Clone, Copy)]
@@ -42,17 +46,20 @@ pub struct Recording<W: Write + Seek = BufWriter<File>> {
     channels: [u16; 4],
     sequences: [u32; 4],
     flushed_ns: Option<u64>,
+    /// Bytes of messages written, their headers counted roughly.
+    bytes: u64,
 }
 
+/// Bytes of a message's header in the file, roughly.
+const HEADER_BYTES: u64 = 40;
+
 impl Recording {
-    /// Creates a file, with what the reader should know about the run (scenario, seed, versions).
+    /// Creates a file that was not there, with what the reader should know about the run (scenario, seed, versions).
     ///
     /// # Errors
-    /// The file cannot be created or written.
+    /// The file is there, or cannot be created or written.
     pub fn create(path: &Path, arm: &str, about: &BTreeMap<String, String>) -> Result<Self, RecordingError> {
-        let file =
-            File::create(path).map_err(|source| RecordingError::File { path: path.display().to_string(), source })?;
-        Self::new(BufWriter::new(file), arm, about)
+        Self::new(BufWriter::new(super::files::make(path)?), arm, about)
     }
 }
 
@@ -80,7 +87,7 @@ impl<W: Write + Seek> Recording<W> {
             add::<Target, W>(&mut writer, &service_name(arm, "target"))?,
             add::<Event, W>(&mut writer, &service_name(arm, "events"))?,
         ];
-        Ok(Self { writer, channels, sequences: [0; 4], flushed_ns: None })
+        Ok(Self { writer, channels, sequences: [0; 4], flushed_ns: None, bytes: 0 })
     }
 
     /// Writes a tick's record at a time (ns) of the reader's choice of clock, the same for all messages.
@@ -124,6 +131,7 @@ impl<W: Write + Seek> Recording<W> {
             publish_time: time_ns,
         };
         self.sequences[index] = self.sequences[index].wrapping_add(1);
+        self.bytes += data.len() as u64 + HEADER_BYTES;
         self.writer.write_to_known_channel(&header, data)?;
         if time_ns.saturating_sub(*self.flushed_ns.get_or_insert(time_ns)) >= FLUSH_NS {
             self.flushed_ns = Some(time_ns);
@@ -176,41 +184,76 @@ pub struct Recorder {
     empty: Consumer<Packet>,
     thread: Option<JoinHandle<Result<(), RecordingError>>>,
     dropped: Arc<AtomicU64>,
+    failed: Arc<AtomicBool>,
     offset_ns: u64,
     patient: bool,
 }
 
+/// Gives the next recording when the present one, of so many bytes, is long enough.
+type Next<W> = Box<dyn FnMut(u64) -> Result<Option<Recording<W>>, RecordingError> + Send>;
+
 impl Recorder {
     /// Creates the file and starts the thread. `offset_ns` is added to every CLOCK_MONOTONIC time: the time of day at its
-    /// zero, or 0.
+    /// zero ([`super::wall_clock_offset_ns`]), or 0.
     ///
     /// # Errors
-    /// The file cannot be created or written, or the thread cannot be started.
+    /// The file is there, or cannot be created or written, or the thread cannot be started.
     pub fn start(
         path: &Path,
         arm: &str,
         about: &BTreeMap<String, String>,
         offset_ns: u64,
     ) -> Result<Self, RecordingError> {
-        let mut about = about.clone();
+        Self::start_within(path, arm, about, offset_ns, Bounds::NONE)
+    }
+
+    /// The same within bounds: one file after the other, in a folder by start time where `path` is one.
+    ///
+    /// # Errors
+    /// As [`Self::start`]; less of the disk is free than is to stay so.
+    pub fn start_within(
+        path: &Path,
+        arm: &str,
+        about: &BTreeMap<String, String>,
+        offset_ns: u64,
+        bounds: Bounds,
+    ) -> Result<Self, RecordingError> {
+        let (mut about, arm) = (about.clone(), arm.to_owned());
         about.insert("monotonic_offset_ns".into(), offset_ns.to_string());
-        Self::hand_over(Recording::create(path, arm, &about)?, offset_ns)
-            .map_err(|source| RecordingError::File { path: path.display().to_string(), source })
+        about.insert("wall_clock_offset_ns".into(), super::wall_clock_offset_ns().to_string());
+        let mut files = Files::new(path, &arm, bounds);
+        files.check_room()?;
+        let first = Recording::new(BufWriter::new(files.next()?), &arm, &about)?;
+        let failed = |source| RecordingError::File { path: path.display().to_string(), source };
+        let next = move |bytes| {
+            files.check_room()?;
+            if !files.is_full(bytes) {
+                return Ok(None);
+            }
+            Recording::new(BufWriter::new(files.next()?), &arm, &about).map(Some)
+        };
+        Self::hand_over(first, Box::new(next), offset_ns).map_err(failed)
     }
 
     /// Gives a recording to a thread of its own.
-    fn hand_over<W>(recording: Recording<W>, offset_ns: u64) -> std::io::Result<Self>
+    fn hand_over<W>(recording: Recording<W>, next: Next<W>, offset_ns: u64) -> std::io::Result<Self>
     where
         W: Write + Seek + Send + 'static,
     {
         let (queue, packets) = RingBuffer::new(QUEUE);
         let (mut used, empty) = RingBuffer::new(QUEUE);
         while used.push(Packet::empty()).is_ok() {}
-        let thread = std::thread::Builder::new()
-            .name("sinew-record".into())
-            .spawn(move || write_all(recording, packets, used))?;
+        let failed: Arc<AtomicBool> = Arc::default();
+        let thread = std::thread::Builder::new().name("sinew-record".into()).spawn({
+            let failed = failed.clone();
+            move || {
+                let written = write_all(recording, next, packets, used);
+                failed.store(written.is_err(), Ordering::Release);
+                written
+            }
+        })?;
         let (queue, thread) = (Some(queue), Some(thread));
-        Ok(Self { queue, empty, thread, dropped: Arc::default(), offset_ns, patient: false })
+        Ok(Self { queue, empty, thread, dropped: Arc::default(), failed, offset_ns, patient: false })
     }
 
     /// One that waits for room in place of dropping: for runs in which nothing waits for the clock. It drops, and counts,
@@ -253,6 +296,11 @@ impl Recorder {
         self.dropped.clone()
     }
 
+    /// Whether the recording ended early; stays valid when the recorder has gone elsewhere.
+    pub fn failed(&self) -> Arc<AtomicBool> {
+        self.failed.clone()
+    }
+
     fn push<T: Fields>(&mut self, channel: Channel, time_ns: u64, message: &T) {
         let time_ns = time_ns.saturating_add(self.offset_ns);
         let buffer = self.buffer();
@@ -275,16 +323,29 @@ impl Recorder {
 
 /// The thread: until the queue is closed and empty, or the disk refuses.
 fn write_all<W: Write + Seek>(
-    mut recording: Recording<W>,
+    recording: Recording<W>,
+    mut next: Next<W>,
     mut packets: Consumer<Packet>,
     mut used: Producer<Packet>,
 ) -> Result<(), RecordingError> {
+    let mut recording = Some(recording);
+    let mut looked = 0;
     let mut write = || -> Result<(), RecordingError> {
         loop {
             // Asked before the queue is emptied: what was pushed before it was closed is written.
             let closed = packets.is_abandoned();
             while let Ok(packet) = packets.pop() {
-                recording.write(packet.channel, packet.time_ns, &packet.data)?;
+                let Some(present) = &mut recording else { return Ok(()) };
+                present.write(packet.channel, packet.time_ns, &packet.data)?;
+                if present.bytes.abs_diff(looked) > LOOK_BYTES {
+                    looked = present.bytes;
+                    if let Some(following) = next(present.bytes)?
+                        && let Some(full) = recording.replace(following)
+                    {
+                        looked = 0;
+                        full.finish()?;
+                    }
+                }
                 // The ring has a place for every packet there is.
                 let _ = used.push(packet);
             }
@@ -295,9 +356,9 @@ fn write_all<W: Write + Seek>(
         }
     };
     // The ring's end goes with this thread: after an error every message counts as dropped.
-    write()
-        .and_then(|()| recording.finish().map(drop))
-        .inspect_err(|error| tracing::error!(%error, "recording ended early"))
+    let written = write();
+    let finished = recording.take().map_or(Ok(()), |recording| recording.finish().map(drop));
+    written.and(finished).inspect_err(|error| tracing::error!(%error, "recording ended early"))
 }
 
 impl Tap for Recorder {
@@ -375,7 +436,7 @@ mod tests {
         let ((key, gate), (done, bytes)) = (sync_channel(1), sync_channel(1));
         let disk = Disk { gate: Some(gate), room, written: Cursor::default(), done };
         let recording = Recording::new(disk, "paper", &BTreeMap::new()).unwrap();
-        (Recorder::hand_over(recording, 0).unwrap(), key, bytes)
+        (Recorder::hand_over(recording, Box::new(|_| Ok(None)), 0).unwrap(), key, bytes)
     }
 
     fn record(recorder: &mut Recorder, ticks: std::ops::Range<u64>) {
@@ -423,6 +484,8 @@ mod tests {
         key.send(()).unwrap();
         record(&mut recorder, 0..4 * QUEUE as u64);
         assert!(recorder.dropped().load(Ordering::Relaxed) > 0);
+        let failed = recorder.failed();
         assert!(recorder.finish().unwrap_err().to_string().contains("full"));
+        assert!(failed.load(Ordering::Acquire));
     }
 }

@@ -6,10 +6,17 @@ use crate::config::PublishedFigure;
 use comfy_table::{ContentArrangement, Table, presets};
 use serde_json::Value;
 
+/// Least width (columns) to which tables are fitted.
+const WIDTH_MIN: u16 = 40;
+
 /// An empty table with a header, in the style of all reports.
 pub fn plain_table(header: &[&str]) -> Table {
     let mut t = Table::new();
     t.load_style(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic);
+    // A terminal that does not know its width says 0 or 1: then lines are as long as they are.
+    if t.width().is_some_and(|width| width < WIDTH_MIN) {
+        t.set_content_arrangement(ContentArrangement::Disabled);
+    }
     t.set_header(header.iter().copied());
     t
 }

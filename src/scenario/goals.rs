@@ -71,11 +71,7 @@ impl Course {
                 }
             }
             task @ Task::Shape { curvatures_1pm, .. } => {
-                Goal::Shape {
-                    curvatures: curvatures_1pm,
-                    weight: task.shape_weight_at(t).unwrap_or(0.0),
-                    rate: 1.0,
-                }
+                Goal::Shape { curvatures: curvatures_1pm, weight: task.shape_weight_at(t).unwrap_or(0.0), rate: 1.0 }
             }
         }
     }

@@ -629,3 +629,49 @@ proptest::proptest! {
         }
     }
 }
+
+/// A table more in the file of the drives.
+fn with_table(table: &str) -> Result<Config, ConfigError> {
+    changed("drives.toml", "[drives]\n", &format!("{table}\n[drives]\n"))
+}
+
+#[test]
+fn who_may_stop_and_see_is_users_and_groups_and_else_the_daemons_own_group() {
+    use sinew::config::Who;
+    let access = with_table("[access]\nstop = [\"alice\", \"@robots\", \"@4711\"]\nsee = []").unwrap().access;
+    let expected = [Who::User("alice".into()), Who::Group("robots".into()), Who::Group("4711".into())];
+    assert_eq!((access.stop.as_deref(), access.see.as_deref()), (Some(&expected[..]), Some(&[][..])));
+    let default = changed("drives.toml", "[drives]\n", "[drives]\n").unwrap().access;
+    assert_eq!((default.stop, default.see), (None, None));
+    expect(with_table("[access]\nstop = [\"@\"]"), &["drives.toml:", "`access.stop`", "a group without a name"]);
+    expect(with_table("[access]\nstop = \"alice\""), &["`access.stop`"]);
+    expect(with_table("[access]\nstop = [\"\"]"), &["`access.stop[0]`", "1 to 64 bytes"]);
+}
+
+#[test]
+fn what_drives_may_lack_is_named_and_only_the_simulated_ones_guard_sync() {
+    let line = "safe_tension_n = 0.0";
+    let accepts = |names: &str| changed("drives.toml", line, &format!("{line}\naccept_without = [{names}]"));
+    assert_eq!(accepts("\"rpdo_timeout\", \"torque_slope\"").unwrap().drives.accept_without.len(), 2);
+    expect(accepts("\"brakes\""), &["`drives.accept_without`", "brakes", "\"sync_guard\""]);
+    let foreign = changed("drives.toml", "vendor_id = 0", "vendor_id = 154");
+    expect(foreign, &["`drives.accept_without`", "cable 1,1", "no guard of SYNC", "heartbeat consumer (1016)"]);
+    let both = changed("drives.toml", "vendor_id = 0\nproduct_code = 0x53494e57", "vendor_id = 154")
+        .and_then(|_| accepts("\"sync_guard\""));
+    expect(both.map(drop).and(changed("drives.toml", "vendor_id = 0", "vendor_id = -1")), &["vendor_id"]);
+    let taken = changed("drives.toml", line, &format!("{line}\nmaster_node_id = 7"));
+    expect(taken, &["`drives.master_node_id` = 7", "cable 2,1 has it"]);
+}
+
+#[test]
+fn required_sources_and_bounds_of_recordings_are_checked() {
+    let required =
+        |ids: &str| changed("controller.toml", "[obstacles]\n", &format!("[obstacles]\nrequired = [{ids}]\n"));
+    assert_eq!(required("4, 4294967295").unwrap().obstacles.required, [4, u32::MAX]);
+    expect(required("4, 4"), &["`obstacles.required[1]` = 4", "different integers"]);
+    expect(required("-1"), &["`obstacles.required[0]` = -1", "0 to 4294967295"]);
+    expect(required("1, 2, 3, 4, 5, 6, 7, 8, 9"), &["`obstacles.required`", "0 to 8"]);
+    assert_eq!(with_table("[recording]\nfile_mib = 10\ntotal_mib = 20").unwrap().recording.total_mib, Some(20));
+    expect(with_table("[recording]\nfile_mib = 10\ntotal_mib = 19"), &["`recording.total_mib` = 19", "20 MiB"]);
+    expect(with_table("[ipc]\nrun_path = \"run\""), &["`ipc.run_path`", "not an absolute path"]);
+}

@@ -5,8 +5,10 @@ use sim_plant::config::PlantConfig;
 use sim_plant::fault::{FaultSpec, Schedule};
 use sim_plant::rig::{Rig, Start};
 use sim_plant::server::{Served, Server};
+use sim_plant::trace::Trace;
 use sim_plant::wire::WireFault;
 use sinew::config::{BUILTIN_FILES, Config};
+use sinew::daemon::operator::{Address, OperatorError};
 use sinew::daemon::status::{StatusReport, ask};
 use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, SupervisorState, Target};
 use sinew::ipc::{Client, Domain, SourcePublisher};
@@ -28,6 +30,8 @@ pub struct Place {
     prefix: String,
     pub files: Vec<PathBuf>,
     pub domain: Domain,
+    /// Folder of the daemon's socket.
+    pub run: PathBuf,
     /// A plant and a daemon in real time need the machine for themselves.
     _turn: MutexGuard<'static, ()>,
 }
@@ -42,6 +46,7 @@ impl Place {
         let (bus, prefix) = (format!("dt-{name}"), format!("sinewdt{name}_"));
         let folder = tempfile::tempdir().unwrap();
         let root = format!("{}/ipc/", folder.path().display());
+        let run = folder.path().join("run");
         let mut files = Vec::new();
         for (file, text) in BUILTIN_FILES
             .iter()
@@ -62,10 +67,11 @@ impl Place {
             files.push(path);
         }
         let ipc = folder.path().join("ipc.toml");
-        std::fs::write(&ipc, format!("[ipc]\nprefix = \"{prefix}\"\nroot_path = \"{root}\"\n")).unwrap();
+        let places = format!("prefix = \"{prefix}\"\nroot_path = \"{root}\"\nrun_path = \"{}\"\n", run.display());
+        std::fs::write(&ipc, format!("[ipc]\n{places}")).unwrap();
         files.push(ipc);
         let domain = Domain::new(prefix.clone(), root);
-        Self { folder, bus, prefix, files, domain, _turn: turn }
+        Self { folder, bus, prefix, files, domain, run, _turn: turn }
     }
 
     pub fn shipped() -> Self {
@@ -79,7 +85,7 @@ impl Place {
     /// The program with arguments and the configuration.
     pub fn sinew(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
-        command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT");
+        command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT").env_remove("SINEW_RUN_DIR");
         command.args(arguments).arg("--config").args(&self.files);
         command
     }
@@ -111,13 +117,25 @@ impl Place {
         Client::wait_for_daemon(&self.domain, "paper", WAIT).unwrap()
     }
 
+    /// Prefix of its files in shared memory.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Where the daemon listens.
+    pub fn address(&self) -> Address {
+        Address::new(&self.domain, "paper", Some(&self.run))
+    }
+
     pub fn status(&self) -> Option<StatusReport> {
         let deadline = Instant::now() + WAIT;
         loop {
-            match ask(&sinew::daemon::domain_name(&self.domain), "paper") {
+            match ask(&self.address()) {
                 Ok(report) => return report,
                 // The main thread has no priority: on a busy machine its answer may take longer than `ask` waits.
-                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock && Instant::now() < deadline => {}
+                Err(OperatorError::Timeout { .. }) if Instant::now() < deadline => {}
+                // Ending, it hangs up on those who still wait.
+                Err(OperatorError::Garbled { .. } | OperatorError::Io { .. }) if Instant::now() < deadline => {}
                 Err(error) => panic!("status: {error}"),
             }
         }
@@ -219,6 +237,16 @@ impl Drop for Daemon {
     }
 }
 
+/// A client as a process; killed at the end.
+pub struct Running(pub Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// The plant on a thread of this process.
 pub struct Plant {
     stop: Arc<AtomicBool>,
@@ -233,6 +261,15 @@ impl Plant {
 
     /// The same with faults on the wire.
     pub fn start_on(place: &Place, lockstep: bool, faults: &[&str], wire: &[&str]) -> Self {
+        Self::launch(place, lockstep, faults, wire, None)
+    }
+
+    /// In real time, with the true arm written to a file.
+    pub fn start_traced(place: &Place, faults: &[&str], wire: &[&str], trace: &std::path::Path) -> Self {
+        Self::launch(place, false, faults, wire, Some(trace))
+    }
+
+    fn launch(place: &Place, lockstep: bool, faults: &[&str], wire: &[&str], trace: Option<&std::path::Path>) -> Self {
         let (mut settings, config) = PlantConfig::load(&place.files).unwrap();
         settings.truth.seed = 7;
         if lockstep {
@@ -242,8 +279,9 @@ impl Plant {
         let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.truth.seed).unwrap();
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
         let wire: Vec<WireFault> = wire.iter().map(|f| f.parse().unwrap()).collect();
-        let server =
-            Server::open(&config, &settings, rig, schedule, None).unwrap().with_wire_faults(wire, settings.truth.seed);
+        let seed = settings.truth.seed;
+        let trace = trace.map(|path| Trace::create(path, "paper", &rig, settings.pace, seed).unwrap());
+        let server = Server::open(&config, &settings, rig, schedule, trace).unwrap().with_wire_faults(wire, seed);
         let stop = Arc::new(AtomicBool::new(false));
         let flag = stop.clone();
         let thread = std::thread::spawn(move || server.run(&flag).unwrap());

@@ -103,8 +103,10 @@ pub struct MasterConfig {
     /// After this time without it a drive counts as lost (ms).
     pub drive_heartbeat_timeout_ms: u16,
     /// After this time without RPDO 1 the drives go safe (ms), its event timer 1400:05; 0: never. The monitoring starts
-    /// with the first RPDO (CiA 301, 7.5.2.35). A drive without the object is accepted, and the fact noted.
+    /// with the first RPDO (CiA 301, 7.5.2.35).
     pub rpdo_timeout_ms: u16,
+    /// Whether a drive without that object is accepted.
+    pub rpdo_timeout_optional: bool,
     /// Period of SYNC (us), object 1006.
     pub cycle_us: u32,
     /// Time granted to each SDO response (ms).
@@ -137,6 +139,7 @@ impl MasterConfig {
             drive_heartbeat_ms: 50,
             drive_heartbeat_timeout_ms: 200,
             rpdo_timeout_ms: 0,
+            rpdo_timeout_optional: true,
             cycle_us,
             sdo_timeout_ms: 100,
             sdo_retries: 2,

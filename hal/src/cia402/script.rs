@@ -84,7 +84,13 @@ pub fn script(config: &MasterConfig, index: usize) -> Vec<Step> {
     pdo(&mut steps, o::RPDO_COMMUNICATION, o::RPDO_MAPPING, u32::from(rpdo), &rpdo_mapping);
     pdo(&mut steps, o::TPDO_COMMUNICATION, o::TPDO_MAPPING, tpdo, &o::TPDO1);
     // Written at 0, too: a drive may have kept another value over the reset.
-    steps.push(optional(o::RPDO_COMMUNICATION, o::EVENT_TIMER, &config.rpdo_timeout_ms.to_le_bytes()));
+    steps.push(Step::Write {
+        index: o::RPDO_COMMUNICATION,
+        sub: o::EVENT_TIMER,
+        data: config.rpdo_timeout_ms.to_le_bytes().to_vec(),
+        mask: u32::MAX,
+        optional: config.rpdo_timeout_optional,
+    });
 
     steps.push(write(o::MAX_TORQUE, 0, &drive.torque_permille_max.to_le_bytes()));
     steps.push(write(o::TARGET_TORQUE, 0, &0i16.to_le_bytes()));
@@ -308,9 +314,25 @@ fn word(data: &[u8]) -> u32 {
 }
 
 fn compare(index: u16, sub: u8, len: usize, expected: u32, value: &[u8], mask: u32) -> Result<(), Fault> {
+    // Some servers answer a short object with all four bytes of the frame.
+    let value = if value.len() == 4 && len < 4 { &value[..len] } else { value };
     if value.len() != len {
         return Err(Fault::Length { index, sub, expected: len, found: value.len() });
     }
     let found = word(value);
     if (found ^ expected) & mask == 0 { Ok(()) } else { Err(Fault::Value { index, sub, expected, found, mask }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_short_object_that_comes_with_all_four_bytes_of_its_frame_is_understood() {
+        assert_eq!(compare(0x6061, 0, 1, 10, &[10, 0, 0, 0], 0xff), Ok(()));
+        assert_eq!(compare(0x6072, 0, 2, 942, &[0xae, 3, 0xff, 0xff], u32::MAX), Ok(()));
+        assert!(compare(0x6072, 0, 2, 942, &[0xaf, 3, 0, 0], u32::MAX).is_err(), "another value");
+        assert!(compare(0x6072, 0, 2, 942, &[0xae, 3, 0], u32::MAX).is_err(), "a length that nobody has");
+        assert!(compare(0x6076, 0, 4, 942, &[0xae, 3], u32::MAX).is_err(), "too short");
+    }
 }

@@ -51,8 +51,11 @@ impl Mapping {
                 .create(true)
                 .truncate(false) // others may be using it
                 .mode(0o660)
+                // A link there would make afresh whatever it points to.
+                .custom_flags(libc::O_NOFOLLOW)
                 .open(path)
                 .map_err(fail)?;
+            trusted(&file).map_err(fail)?;
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) => initialise(&file).map_err(fail)?,
                 Err(Errno::WOULDBLOCK) => {}
@@ -144,6 +147,39 @@ impl Drop for Mapping {
         // SAFETY: this is the mapping made in `map`; references into it borrow self and are gone.
         let _ = unsafe { rustix::mm::munmap(self.base.as_ptr().cast(), FILE_LEN) };
     }
+}
+
+/// Refuses the file of another user, and one that others may write: whoever can shorten it ends all who use it.
+fn trusted(file: &File) -> io::Result<()> {
+    let there = file.metadata()?;
+    let refused = |why: String| Err(io::Error::new(io::ErrorKind::PermissionDenied, why));
+    if !there.is_file() {
+        return refused("it is no file".into());
+    }
+    if there.uid() != rustix::process::geteuid().as_raw() {
+        return refused(format!("it belongs to user {}", crate::peer::user_text(there.uid())));
+    }
+    if there.mode() & 0o002 != 0 {
+        return refused(format!("everybody may write to it (mode {:03o})", there.mode() & 0o777));
+    }
+    Ok(())
+}
+
+/// Whether another open file has the lock of [`Mapping::claim`].
+pub(super) fn is_claimed(path: &Path, byte: u8) -> io::Result<bool> {
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NOFOLLOW).open(path)?;
+    let mut lock = libc::flock {
+        l_type: libc::F_WRLCK as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: libc::off_t::from(byte),
+        l_len: 1,
+        l_pid: 0,
+    };
+    // SAFETY: the descriptor is `file`'s own, and the kernel reads and writes the structure, which outlives the call.
+    if unsafe { libc::fcntl(file.as_raw_fd(), libc::F_OFD_GETLK, &mut lock) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    Ok(lock.l_type != libc::F_UNLCK as libc::c_short)
 }
 
 /// Removes a bus's file if no process has it open; true if there was one.

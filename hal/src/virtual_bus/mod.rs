@@ -118,6 +118,11 @@ pub fn claim(name: &str, role: Role) -> Result<Claim, OpenVirtualError> {
     }
 }
 
+/// Whether a process has a role on the bus of this name. Where that cannot be told, it has not.
+pub fn is_claimed(name: &str, role: Role) -> bool {
+    path_of(name).is_ok_and(|path| mapping::is_claimed(&path, role as u8).unwrap_or(false))
+}
+
 /// A handle on a virtual bus.
 pub struct VirtualBus {
     shared: Arc<Mapping>,

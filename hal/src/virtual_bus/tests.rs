@@ -261,3 +261,33 @@ proptest! {
         prop_assert!(b.counters().received <= 200);
     }
 }
+
+#[test]
+fn a_role_is_seen_by_others_as_long_as_it_is_held() {
+    let name = unique("claimed");
+    assert!(!is_claimed(&name, Role::Drives), "there is no bus");
+    let claim = claim(&name, Role::Drives).unwrap();
+    assert!(is_claimed(&name, Role::Drives) && !is_claimed(&name, Role::Master));
+    drop(claim);
+    let _bus = VirtualBus::open(&name, false).unwrap();
+    assert!(!is_claimed(&name, Role::Drives));
+}
+
+#[test]
+fn a_file_that_others_may_write_or_a_link_is_no_bus() {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+    let name = unique("foreign");
+    let path = path_of(&name).unwrap();
+    std::fs::write(&path, "").unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o666)).unwrap();
+    let refused = VirtualBus::open(&name, false).err().unwrap().to_string();
+    std::fs::remove_file(&path).unwrap();
+    assert!(refused.contains("everybody may write to it (mode 666)"), "{refused}");
+    let precious = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(precious.path(), "precious").unwrap();
+    symlink(precious.path(), &path).unwrap();
+    let refused = VirtualBus::open(&name, false).is_err();
+    std::fs::remove_file(&path).unwrap();
+    assert!(refused);
+    assert_eq!(std::fs::read_to_string(precious.path()).unwrap(), "precious");
+}

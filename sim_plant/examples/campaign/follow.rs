@@ -70,7 +70,8 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
         let now = bench.time_s() + h - begin;
         let place = |bench: &mut Bench, at: f64| {
             for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-                let (a, b) = (obstacle.motion.position_at(at.max(0.0)), obstacle.motion.position_at((at + lookahead).max(0.0)));
+                let (a, b) =
+                    (obstacle.motion.position_at(at.max(0.0)), obstacle.motion.position_at((at + lookahead).max(0.0)));
                 let placement = Placement {
                     position_now_m: a,
                     position_ahead_m: b,
@@ -145,11 +146,21 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
             let k: Vec<f64> = bench.record().curvature_1pm[..8].to_vec();
             let g = bench.cycle.governor();
             let kk = bench.truth.curvatures();
-            let extra: Vec<String> = (0..8).map(|i| format!("{:.4},{:.4},{:.4},{:.5}", g.command()[i], k[i], kk[i], g.swing()[i])).collect();
+            let extra: Vec<String> =
+                (0..8).map(|i| format!("{:.4},{:.4},{:.4},{:.5}", g.command()[i], k[i], kk[i], g.swing()[i])).collect();
             let mut ref_error = 0.0;
-            if let Task::Tip { path, .. } = &scenario.task { ref_error = (g.reference_tip() - Vector3::from(path.pose_at(ahead_s.max(0.0)).0)).norm(); }
+            if let Task::Tip { path, .. } = &scenario.task {
+                ref_error = (g.reference_tip() - Vector3::from(path.pose_at(ahead_s.max(0.0)).0)).norm();
+            }
             let extra = format!("{ref_error:.5},{},{}", g.met().held_back, g.met().given_up) + "," + &extra.join(",");
-            writeln!(file, "{now:.3},{error:.5},{estimate:.5},{distance:.5},{:.4},{:.4},{:.4},{extra}", change.sqrt(), (bench.cycle.estimated_tip()-tip_now.position).norm(), bench.cycle.governor().met().distance_min).unwrap();
+            writeln!(
+                file,
+                "{now:.3},{error:.5},{estimate:.5},{distance:.5},{:.4},{:.4},{:.4},{extra}",
+                change.sqrt(),
+                (bench.cycle.estimated_tip() - tip_now.position).norm(),
+                bench.cycle.governor().met().distance_min
+            )
+            .unwrap();
         }
         if output.mode != Mode::Tracking {
             let why = bench.cycle.supervisor().latch().first.map(|l| l.fault.to_string());
@@ -164,8 +175,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
     let n = count.max(1) as f64;
     let mut curvature = f64::NAN;
     if let Task::Shape { curvatures_1pm, .. } = &scenario.task {
-        curvature =
-            bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        curvature = bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     }
     format!(
         "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm, turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",

@@ -127,7 +127,21 @@ pub fn show(bench: &mut Bench, pose: &Pose, shape: bool, watch: f64, trace: Opti
         let estimate = (bench.cycle.estimated_tip() - now).norm();
         if let Some(file) = &mut trace {
             let r = bench.cycle.governor().reference().to_vec();
-            writeln!(file, "{t:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.3},{:.3},{:.4},{:?}", now[0], now[1], now[2], estimate, (state - pose.position).norm(), (now - pose.position).norm(), last_u.iter().copied().fold(0.0, f64::max), bench.cycle.governor().met().distance_min, change.sqrt(), r).unwrap();
+            writeln!(
+                file,
+                "{t:.3},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.3},{:.3},{:.4},{:?}",
+                now[0],
+                now[1],
+                now[2],
+                estimate,
+                (state - pose.position).norm(),
+                (now - pose.position).norm(),
+                last_u.iter().copied().fold(0.0, f64::max),
+                bench.cycle.governor().met().distance_min,
+                change.sqrt(),
+                r
+            )
+            .unwrap();
         }
         if let Some(end) = end
             && t > end + 5.0

@@ -6,9 +6,9 @@
 //! controller no longer moves it along its path.
 //!
 //! The two files meet in time. In real time both carry CLOCK_MONOTONIC. In lockstep the plant counts SYNCs and the daemon
-//! ticks, and the SYNCs before the first tick are not known: the two are laid beside each other so that the tensions of
-//! every tick are the ones that the drums had, to a step of the torque on the wire. If no offset does that for all ticks,
-//! the drives did not do what the controller commanded, and that is an error.
+//! ticks, and an event of the daemon's tells the number of the SYNC that went with tick 0. Laid beside each other so, the
+//! tensions of every tick must be the ones that the drums had, to a step of the torque on the wire; a tick or SYNC that is
+//! missing or stands twice is an error too. What cannot be laid together is not judged.
 
 use super::setup::Setup;
 use crate::cli::scenario_client::approach_s;
@@ -18,7 +18,7 @@ use serde_json::Value;
 use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{ArmConfig, BodyModel};
 use sinew::control::Fault;
-use sinew::daemon::overran;
+use sinew::daemon::{FIRST_SYNC, overran};
 use sinew::ipc::payload::{PlannerBranch, SupervisorState};
 use sinew::model::Outputs;
 use sinew::planner::{Branch, Goal};
@@ -99,6 +99,12 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
             fault: (integer(&v["fault_code"]), integer(&v["fault_detail"])),
         });
     })?;
+    let mut first_sync = None;
+    read(&setup.records(), "/events", |v| {
+        if integer(&v["code"]) == u64::from(FIRST_SYNC) {
+            first_sync = v["value"].as_f64().map(|value| value as u64);
+        }
+    })?;
     let mut truths = Vec::new();
     read(&setup.trace(), "/state", |v| {
         truths.push(Truth {
@@ -117,7 +123,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     let origin_ns = records[first].capture_ns + (1e9 * approach_s).round() as u64;
     let period_s = setup.config.timing.period_s;
     let truth_s: Vec<f64> = if lockstep {
-        let offset = offset(setup, &records[first..], &truths)?;
+        let offset = offset(setup, first_sync, &records[first..], &truths)?;
         let tick = records[first].tick as f64;
         truths.iter().map(|t| (t.syncs as f64 - offset as f64 - tick + 1.0) * period_s - approach_s).collect()
     } else {
@@ -213,8 +219,12 @@ fn faults(records: &[Record], origin_ns: u64, collector: &mut Collector) {
     }
 }
 
-/// SYNCs before tick 0.
-fn offset(setup: &Setup, records: &[Record], truths: &[Truth]) -> miette::Result<u64> {
+/// SYNCs before that of tick 0, as far as the plant's count goes: those that take effect late count as later.
+///
+/// # Errors
+/// The recordings do not belong together tick by tick.
+fn offset(setup: &Setup, first_sync: Option<u64>, records: &[Record], truths: &[Truth]) -> miette::Result<u64> {
+    let first_sync = first_sync.ok_or(miette!("the daemon's recording does not tell which SYNC went with tick 0"))?;
     // Half a step of the torque on the wire, and a little for the last digit.
     let steps: Vec<f64> = setup
         .config
@@ -223,52 +233,54 @@ fn offset(setup: &Setup, records: &[Record], truths: &[Truth]) -> miette::Result
         .iter()
         .map(|d| 0.501e-3 * d.rated_torque_nm * d.gear_ratio / d.drum_radius_m)
         .collect();
-    let same = |r: &Record, t: &Truth| {
-        r.tensions.iter().zip(&t.tensions).zip(&steps).all(|((a, b), step)| (a - b).abs() <= *step)
-    };
-    let (Some(first), Some(begin)) = (records.first(), truths.first()) else {
-        return Err(miette!("the recordings are empty"));
-    };
-    let fits = |place: usize| {
-        // Only ticks of tracking: a drive that has left torque does not follow.
-        let pairs = records.iter().take_while(|r| r.tracks).zip(&truths[place..]);
-        let mut count = 0;
-        pairs.inspect(|_| count += 1).all(|(r, t)| same(r, t)) && count > 0
-    };
-    if !setup.wire.is_empty() {
-        return disturbed_offset(records, truths, &steps);
-    }
-    // From the end: while the arm holds its start, an earlier beginning fits as well until it moves.
-    let place = (0..truths.len()).rev().find(|&place| fits(place) && truths.len() - place >= tracked(records));
-    match place {
-        Some(place) => (begin.syncs + place as u64).checked_sub(first.tick).ok_or(miette!("more ticks than SYNCs")),
-        None => Err(miette!(
-            "the drives did not apply what the controller commanded: no offset between the recordings fits"
-        )),
-    }
+    aligned(first_sync + setup.latency_ticks, records, truths, &steps, !setup.wire.is_empty())
 }
 
-/// Ticks that are compared where frames are lost.
-const COMPARED: usize = 1000;
-
-/// The same where commands may be lost: the offset at which most of them, and more than half, arrived.
-fn disturbed_offset(records: &[Record], truths: &[Truth], steps: &[f64]) -> miette::Result<u64> {
-    let arrived = |place: usize| {
-        let pairs = records.iter().take(COMPARED).take_while(|r| r.tracks).zip(&truths[place..]);
-        let commands = |(r, t): (&Record, &Truth)| {
-            r.tensions.iter().zip(&t.tensions).zip(steps).filter(|((a, b), step)| (*a - *b).abs() <= **step).count()
-        };
-        pairs.map(commands).sum::<usize>()
+/// The offset, where both recordings are without a gap and the drums had what was commanded: all of it, or where frames
+/// were lost on purpose most of it, and more than half.
+fn aligned(offset: u64, records: &[Record], truths: &[Truth], steps: &[f64], disturbed: bool) -> miette::Result<u64> {
+    let count = tracked(records);
+    let Some(first) = records.first().filter(|_| count > 0) else { return Err(miette!("nothing was tracked")) };
+    let syncs = first.tick + offset;
+    let Some(begin) = truths.iter().position(|truth| truth.syncs == syncs) else {
+        return Err(miette!("the plant's trace lacks the SYNC {syncs} of tick {}", first.tick));
     };
-    let count = tracked(records).min(COMPARED);
-    let places = 0..=truths.len().saturating_sub(count);
-    let best = places.map(|place| (arrived(place), place)).max();
-    match (best, records.first(), truths.first()) {
-        (Some((most, place)), Some(first), Some(begin)) if 2 * most > count * steps.len() => {
-            (begin.syncs + place as u64).checked_sub(first.tick).ok_or(miette!("more ticks than SYNCs"))
+    let (mut arrived, mut most) = (0, 0);
+    for (place, record) in records[..count].iter().enumerate() {
+        let tick = record.tick;
+        if tick != first.tick + place as u64 {
+            return Err(miette!(
+                "the daemon's recording has tick {tick} where {} was to be",
+                first.tick + place as u64
+            ));
         }
-        _ => Err(miette!("less than half of the commands reached the drives: the recordings cannot be laid together")),
+        // A plant that is stopped first has no state after the last ticks.
+        let Some(truth) = truths.get(begin + place) else { break };
+        if truth.syncs != tick + offset {
+            let expected = tick + offset;
+            return Err(miette!("the plant's trace has SYNC {} where {expected} was to be", truth.syncs));
+        }
+        let differs = |((a, b), step): &((&f64, &f64), &f64)| (*a - *b).abs() > **step;
+        let pairs = record.tensions.iter().zip(&truth.tensions).zip(steps);
+        most += steps.len();
+        arrived += steps.len();
+        for (cable, ((a, b), _)) in pairs.enumerate().filter(|(_, pair)| differs(pair)) {
+            if !disturbed {
+                return Err(miette!(
+                    "the drives did not apply what the controller commanded: at tick {tick} cable {} had {b:.3} N, not \
+                     {a:.3} N",
+                    cable + 1
+                ));
+            }
+            arrived -= 1;
+        }
     }
+    if 2 * arrived <= most {
+        return Err(miette!(
+            "less than half of the commands reached the drives: the recordings cannot be laid together"
+        ));
+    }
+    Ok(offset)
 }
 
 fn tracked(records: &[Record]) -> usize {
@@ -440,6 +452,62 @@ mod tests {
         assert_eq!(missed(&run, 0.01), (2, 1));
         assert_eq!(missed(&run, 0.0).1, 0, "in lockstep nothing is due");
         assert_eq!(missed(&[], 0.01), (0, 0));
+    }
+
+    /// Ticks 5 to 14 that track, and the SYNCs 100 to 119 of a plant that began the loop's tick 0 with SYNC 100.
+    fn recordings() -> (Vec<Record>, Vec<Truth>) {
+        let tensions = |tick: u64| vec![50.0 + tick as f64, 60.0 - tick as f64];
+        let records = (5..15).map(|tick| Record { tensions: tensions(tick), ..record(tick, true) }).collect();
+        let truth = |tick: u64| Truth {
+            syncs: 100 + tick,
+            capture_ns: 10_000_000 * (100 + tick),
+            tensions: tensions(tick),
+            nodes: Vec::new(),
+            curvatures: Vec::new(),
+        };
+        (records, (0..20).map(truth).collect())
+    }
+
+    fn refused(change: impl Fn(&mut Vec<Record>, &mut Vec<Truth>), disturbed: bool) -> String {
+        let (mut records, mut truths) = recordings();
+        change(&mut records, &mut truths);
+        aligned(100, &records, &truths, &[0.1, 0.1], disturbed).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn recordings_meet_by_their_ticks() {
+        let (records, truths) = recordings();
+        assert_eq!(aligned(100, &records, &truths, &[0.1, 0.1], false).unwrap(), 100);
+        // The plant went first.
+        assert_eq!(aligned(100, &records, &truths[..10], &[0.1, 0.1], false).unwrap(), 100);
+    }
+
+    #[test]
+    fn what_does_not_meet_tick_by_tick_is_not_judged() {
+        assert!(
+            refused(
+                |_, t| t
+                    .insert(8, Truth { tensions: vec![58.0, 52.0], nodes: Vec::new(), curvatures: Vec::new(), ..t[8] }),
+                false
+            )
+            .contains("SYNC 108 where 109")
+        );
+        assert!(refused(|_, t| drop(t.remove(9)), false).contains("SYNC 110 where 109"));
+        assert!(refused(|r, _| drop(r.remove(4)), false).contains("tick 10 where 9"));
+        assert!(refused(|_, t| drop(t.drain(..6)), false).contains("lacks the SYNC 105"));
+        assert!(refused(|_, t| t[7].tensions[1] += 0.2, false).contains("at tick 7 cable 2"));
+        // Laid beside each other a tick off.
+        let (records, truths) = recordings();
+        assert!(aligned(101, &records, &truths, &[0.1, 0.1], false).is_err());
+        assert!(aligned(101, &records, &truths, &[0.1, 0.1], true).unwrap_err().to_string().contains("less than half"));
+    }
+
+    #[test]
+    fn commands_lost_on_purpose_are_no_reason_unless_they_are_most() {
+        let (records, mut truths) = recordings();
+        truths.iter_mut().step_by(3).for_each(|t| t.tensions[0] -= 1.0);
+        assert_eq!(aligned(100, &records, &truths, &[0.1, 0.1], true).unwrap(), 100);
+        assert!(aligned(100, &records, &truths, &[0.1, 0.1], false).is_err());
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub(super) struct Setup {
     pub(super) plant: PathBuf,
     /// Elements of the true arm per element of the controller's.
     pub(super) mesh_refinement: usize,
+    /// Ticks by which commands take effect late.
+    pub(super) latency_ticks: u64,
     fast: bool,
     scenario_argument: String,
     start_tensions: Vec<f64>,
@@ -57,6 +59,9 @@ impl Setup {
             }
             None => temporary.path().to_owned(),
         };
+        if let Some(kept) = ["daemon.mcap", "truth.mcap"].map(|name| folder.join(name)).iter().find(|f| f.exists()) {
+            return Err(miette!("--keep: {} is there already; give another directory", kept.display()));
+        }
         let process = std::process::id();
         let prefix = format!("sinewdemo{process}_");
         let root = temporary.path().join("ipc/");
@@ -74,6 +79,7 @@ impl Setup {
             .wrap_err_with(|| format!("scenario {} has no start with this arm", scenario.name))?;
         let plant_table = tables.get("plant").and_then(Value::as_table);
         let refinement = plant_table.and_then(|t| t.get("mesh_refinement")).and_then(Value::as_integer);
+        let latency = plant_table.and_then(|t| t.get("latency_ticks")).and_then(Value::as_integer);
         let scenario_argument = match Path::new(&demo.scenario).canonicalize() {
             Ok(path) if path.is_file() => path.display().to_string(),
             _ => demo.scenario.clone(),
@@ -86,6 +92,7 @@ impl Setup {
             plant,
             // The key's default, `sim_plant`'s configuration has it.
             mesh_refinement: refinement.and_then(|n| usize::try_from(n).ok()).unwrap_or(2),
+            latency_ticks: latency.and_then(|n| u64::try_from(n).ok()).unwrap_or(0),
             fast: demo.fast,
             scenario_argument,
             start_tensions,

@@ -11,6 +11,7 @@ use super::budget::{Phase, StopWatch};
 use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
 use super::friction::FrictionCompensation;
+use super::governor::Governor;
 use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVerdict};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
@@ -19,7 +20,6 @@ use super::settings::{Settings, seconds_to_ns};
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
-use super::governor::Governor;
 use super::target::{TargetInput, lag_s};
 use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};

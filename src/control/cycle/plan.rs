@@ -6,8 +6,8 @@ use crate::control::CURVATURES_MAX;
 use crate::control::budget::StopWatch;
 use crate::control::estimator::Estimator;
 use crate::control::fault::{Limit, Limits};
-use crate::control::target::Target;
 use crate::control::governor::Wish;
+use crate::control::target::Target;
 use crate::planner::{Goal, Inputs, Report, Status};
 use crate::posture::Surroundings;
 use nalgebra::{Vector3, Vector4};
@@ -15,8 +15,13 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// What a plan is made for.
 pub(super) enum Wanted {
-    Tip { position: Vector3<f64>, quaternion: Vector4<f64> },
-    Shape { curvatures: [f64; CURVATURES_MAX] },
+    Tip {
+        position: Vector3<f64>,
+        quaternion: Vector4<f64>,
+    },
+    Shape {
+        curvatures: [f64; CURVATURES_MAX],
+    },
     /// To come to rest and stay.
     Rest,
 }

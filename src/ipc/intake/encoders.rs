@@ -24,11 +24,28 @@ impl EncoderTable {
     /// # Errors
     /// The cause for which it was rejected; already counted.
     pub fn accept(&mut self, message: &Encoders, now_ns: u64, limits: &InputLimits) -> Result<(), RejectCause> {
-        let checked = admit(&mut self.log, &message.header, now_ns, limits).and_then(|()| self.validate(message));
+        self.accept_from(message, 0, now_ns, limits)
+    }
+
+    /// The same of a port (0: not known), to which the source's id belongs until the source is not fresh any more.
+    ///
+    /// # Errors
+    /// As [`Self::accept`].
+    pub fn accept_from(
+        &mut self,
+        message: &Encoders,
+        publisher: u128,
+        now_ns: u64,
+        limits: &InputLimits,
+    ) -> Result<(), RejectCause> {
+        let checked =
+            admit(&mut self.log, &message.header, publisher, now_ns, limits).and_then(|()| self.validate(message));
         match checked {
             Ok(()) => {
                 self.log.accept(&message.header);
+                self.log.publisher = publisher;
                 self.latest = *message;
+                self.drop_bad_entries();
                 Ok(())
             }
             Err(cause) => {
@@ -42,16 +59,27 @@ impl EncoderTable {
         if message.cable_count as usize != self.cable_count {
             return Err(RejectCause::WrongCount);
         }
-        EncoderSource::from_wire(message.source).ok_or(RejectCause::UnknownKind)?;
+        EncoderSource::from_wire(message.source).ok_or(RejectCause::UnknownKind).map(drop)
+    }
+
+    /// A reading that cannot be is none, and is counted; the other cables' are as good as before.
+    fn drop_bad_entries(&mut self) {
+        let Self { latest, log, .. } = self;
         for cable in 0..self.cable_count {
-            if message.is_length_valid(cable) {
-                check::lengths(&message.length_m[cable..=cable])?;
+            let bit = !(1 << (cable % 64));
+            if latest.is_length_valid(cable)
+                && let Err(cause) = check::lengths(&latest.length_m[cable..=cable])
+            {
+                latest.length_valid[cable / 64] &= bit;
+                log.reject(cause);
             }
-            if message.is_tension_valid(cable) {
-                check::finite(&message.tension_n[cable..=cable])?;
+            if latest.is_tension_valid(cable)
+                && let Err(cause) = check::finite(&latest.tension_n[cable..=cable])
+            {
+                latest.tension_valid[cable / 64] &= bit;
+                log.reject(cause);
             }
         }
-        Ok(())
     }
 
     /// The newest valid message; `None` before the first one.
@@ -84,10 +112,14 @@ impl EncoderTable {
 pub(super) fn admit(
     log: &mut SourceLog,
     header: &crate::ipc::payload::Header,
+    publisher: u128,
     now_ns: u64,
     limits: &InputLimits,
 ) -> Result<(), RejectCause> {
     let takes_over = log.last.is_none() || log.health(now_ns, limits) != SourceHealth::Fresh;
+    if log.taken_by(publisher).is_some() && !takes_over {
+        return Err(RejectCause::TooManySources);
+    }
     if header.source_id == log.source_id {
         return log.check(header, now_ns, limits);
     }
@@ -133,9 +165,6 @@ mod tests {
 
     #[test]
     fn malformed_states_are_refused_one_by_one() {
-        refused(RejectCause::NotFinite, |m| m.length_m[23] = f64::NAN);
-        refused(RejectCause::NotFinite, |m| m.tension_n[0] = f64::INFINITY);
-        refused(RejectCause::Dimensions, |m| m.length_m[3] = -0.1);
         refused(RejectCause::WrongCount, |m| m.cable_count = 23);
         refused(RejectCause::WrongCount, |m| m.cable_count = u32::MAX);
         refused(RejectCause::UnknownKind, |m| m.source = 0);
@@ -143,6 +172,22 @@ mod tests {
         refused(RejectCause::Backwards, |m| m.header.capture_ns = NOW - 1);
         refused(RejectCause::Sequence, |m| m.header.sequence = 0);
         refused(RejectCause::Schema, |m| m.header.schema_version = 0);
+    }
+
+    #[test]
+    fn a_reading_that_cannot_be_blinds_its_own_cable_and_no_other() {
+        for (cause, length_m) in [(RejectCause::NotFinite, f64::NAN), (RejectCause::Dimensions, -0.1)] {
+            let mut table = EncoderTable::new(24);
+            let mut m = message(1, 0, NOW);
+            m.length_m[3] = length_m;
+            m.tension_n[5] = f64::INFINITY;
+            table.accept(&m, NOW, &limits()).unwrap();
+            let latest = table.latest().unwrap();
+            assert!((0..24).all(|cable| latest.is_length_valid(cable) == (cable != 3)));
+            assert!((0..24).all(|cable| latest.is_tension_valid(cable) == (cable != 5)));
+            let report = table.report(NOW, &limits());
+            assert!(report.rejected[cause.wire() as usize] >= 1 && report.rejected_total() == 2);
+        }
     }
 
     #[test]

@@ -24,6 +24,8 @@ pub struct InputLimits {
     pub hold_after_s: f64,
     /// Growth of a stale source's obstacles per second of age beyond `stale_after_s` (m/s).
     pub growth_mps: f64,
+    /// Most that an obstacle grows by its source's age (m).
+    pub growth_m_max: f64,
     /// Obstacles are grown by this many standard deviations of their position in its worst direction.
     pub sigma_multiple: f64,
     /// A capture time may lie this far in the future (s): clocks are the same, threads are not.
@@ -33,7 +35,14 @@ pub struct InputLimits {
 impl Default for InputLimits {
     /// Three frames of a 30 Hz camera until stale, half a second until hold.
     fn default() -> Self {
-        Self { stale_after_s: 0.1, hold_after_s: 0.5, growth_mps: 0.1, sigma_multiple: 3.0, future_tolerance_s: 0.005 }
+        Self {
+            stale_after_s: 0.1,
+            hold_after_s: 0.5,
+            growth_mps: 0.1,
+            growth_m_max: 1.0,
+            sigma_multiple: 3.0,
+            future_tolerance_s: 0.005,
+        }
     }
 }
 

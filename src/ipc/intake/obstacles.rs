@@ -41,6 +41,8 @@ impl Slot {
 pub struct ObstacleTable {
     slots: [Slot; MAX_SOURCES],
     sources_refused: u64,
+    /// The last source for which there was no place, and when (ns).
+    crowded_out: Option<(u32, u64)>,
 }
 
 /// What the obstacle inputs ask of the supervisor.
@@ -48,7 +50,7 @@ pub struct ObstacleTable {
 pub enum ObstacleDemand {
     /// Nothing.
     Proceed,
-    /// Hold: the named source is expired, or declared and absent.
+    /// Hold: the named source is expired, or declared and absent, or none of its sets is accepted.
     Hold {
         /// The first such source.
         source_id: u32,
@@ -123,7 +125,7 @@ impl Default for TrackedSet {
 impl ObstacleTable {
     /// A table in which nothing was heard. `declared` sources (the first eight) must be present for motion.
     pub fn new(declared: &[u32]) -> Self {
-        let mut table = Self { slots: std::array::from_fn(|_| Slot::empty()), sources_refused: 0 };
+        let mut table = Self { slots: std::array::from_fn(|_| Slot::empty()), sources_refused: 0, crowded_out: None };
         for (slot, &source_id) in table.slots.iter_mut().zip(declared) {
             slot.log.source_id = source_id;
             slot.declared = true;
@@ -137,12 +139,32 @@ impl ObstacleTable {
     /// # Errors
     /// The cause for which it was rejected; already counted for the source.
     pub fn accept(&mut self, message: &Obstacles, now_ns: u64, limits: &InputLimits) -> Result<(), RejectCause> {
+        self.accept_from(message, 0, now_ns, limits)
+    }
+
+    /// The same of a port (0: not known), to which the source's id belongs from the first accepted message until the port
+    /// is [gone](Self::set_gone) or the source has left.
+    ///
+    /// # Errors
+    /// As [`Self::accept`].
+    pub fn accept_from(
+        &mut self,
+        message: &Obstacles,
+        publisher: u128,
+        now_ns: u64,
+        limits: &InputLimits,
+    ) -> Result<(), RejectCause> {
         let Some(place) = self.place_of(message.header.source_id) else {
             self.sources_refused += 1;
+            self.crowded_out = Some((message.header.source_id, now_ns));
             return Err(RejectCause::TooManySources);
         };
         let others = self.slots.iter().enumerate().filter(|&(i, _)| i != place).map(|(_, s)| s.obstacles().len()).sum();
         let slot = &mut self.slots[place];
+        if slot.log.taken_by(publisher).is_some() {
+            slot.log.reject(RejectCause::TooManySources);
+            return Err(RejectCause::TooManySources);
+        }
         match slot
             .log
             .check(&message.header, now_ns, limits)
@@ -150,9 +172,10 @@ impl ObstacleTable {
         {
             Ok(()) => {
                 slot.log.accept(&message.header);
+                slot.log.publisher = publisher;
                 copy_used(&mut slot.set, message);
                 if message.flags & FLAG_LEAVING != 0 {
-                    slot.log.last = None;
+                    slot.log.forget();
                     slot.used = slot.declared;
                 }
                 Ok(())
@@ -165,6 +188,29 @@ impl ObstacleTable {
         }
     }
 
+    /// The other port that has the id of a source; `None` if this one may have it.
+    pub fn taken_by(&self, source_id: u32, publisher: u128) -> Option<u128> {
+        let slot = self.slots.iter().find(|s| s.used && s.log.source_id == source_id)?;
+        slot.log.taken_by(publisher)
+    }
+
+    /// Notes that the port of a source is gone: another may take its id, and a run in lockstep does not wait for it.
+    pub fn set_gone(&mut self, publisher: u128) {
+        for slot in self.slots.iter_mut().filter(|s| s.used && s.log.publisher == publisher) {
+            slot.log.gone = slot.log.last.is_some();
+        }
+    }
+
+    /// Ports that are not known to be gone, 0 for none.
+    pub fn publishers(&self) -> [u128; MAX_SOURCES] {
+        self.slots.each_ref().map(|s| if s.used && !s.log.gone && s.log.last.is_some() { s.log.publisher } else { 0 })
+    }
+
+    /// What is known of a source; `None` if it never sent.
+    pub fn log(&self, source_id: u32) -> Option<&SourceLog> {
+        self.slots.iter().find(|s| s.used && s.log.source_id == source_id).map(|s| &s.log)
+    }
+
     /// The source's place; a new source takes a free one, or that of one of whom nothing was ever accepted.
     fn place_of(&mut self, source_id: u32) -> Option<usize> {
         if let Some(place) = self.slots.iter().position(|s| s.used && s.log.source_id == source_id) {
@@ -174,6 +220,7 @@ impl ObstacleTable {
             .slots
             .iter()
             .position(|s| !s.used)
+            .or_else(|| self.slots.iter().position(|s| !s.declared && s.log.last.is_none() && !s.log.refused))
             .or_else(|| self.slots.iter().position(|s| !s.declared && s.log.last.is_none()))?;
         let slot = &mut self.slots[free];
         slot.log = SourceLog::new(source_id);
@@ -184,6 +231,7 @@ impl ObstacleTable {
     /// Overwrites this table with another's content, copying only what is in use.
     pub fn copy_from(&mut self, other: &Self) {
         self.sources_refused = other.sources_refused;
+        self.crowded_out = other.crowded_out;
         for (mine, theirs) in self.slots.iter_mut().zip(&other.slots) {
             mine.log = theirs.log;
             mine.declared = theirs.declared;
@@ -196,16 +244,17 @@ impl ObstacleTable {
 
     /// Every obstacle at `now + lookahead`, grown. Does not allocate.
     ///
-    /// Position: constant velocity from the capture time, but no longer than `hold_after_s` plus the lookahead: then the
-    /// arm holds, and an obstacle must not fly off on an old velocity. Growth:
-    /// `sigma_multiple sigma + growth_mps (min(age, hold_after_s) - stale_after_s)`, the second part only when positive.
+    /// Position: constant velocity from the capture time, but no longer than `hold_after_s` plus the lookahead: an obstacle
+    /// must not fly off on an old velocity. From there on it grows by its speed in place of moving, so that wherever it
+    /// went at that speed it is inside. Growth: `sigma_multiple sigma + growth_mps (age - stale_after_s) +
+    /// speed (age - hold_after_s)`, the parts with the age only when positive and together at most `growth_m_max`.
     pub fn track_into(&self, now_ns: u64, lookahead_s: f64, limits: &InputLimits, tracked: &mut TrackedSet) {
         tracked.count = 0;
         for (place, slot) in self.slots.iter().enumerate() {
             let Some(header) = slot.log.last else { continue };
             // Signed: a capture time within the tolerated future is extrapolated by less.
-            let age_s = elapsed_s(header.capture_ns, now_ns).min(limits.hold_after_s);
-            let growth_by_age_m = limits.growth_mps * (age_s - limits.stale_after_s).max(0.0);
+            let age_s = elapsed_s(header.capture_ns, now_ns);
+            let moves_s = age_s.min(limits.hold_after_s);
             let health = slot.log.health(now_ns, limits);
             for (o, sigma_m) in slot.set.used().iter().zip(&slot.sigma_m) {
                 let (Some(kind), Some(out)) =
@@ -218,10 +267,10 @@ impl ObstacleTable {
                     id: o.id,
                     kind,
                     dimensions_m: o.dimensions_m,
-                    position_m: std::array::from_fn(|i| o.position_m[i] + o.velocity_mps[i] * (age_s + lookahead_s)),
+                    position_m: std::array::from_fn(|i| o.position_m[i] + o.velocity_mps[i] * (moves_s + lookahead_s)),
                     quaternion: check::normalised(&o.quaternion),
                     velocity_mps: o.velocity_mps,
-                    growth_m: limits.sigma_multiple * sigma_m + growth_by_age_m,
+                    growth_m: limits.sigma_multiple * sigma_m + growth_by_age_m(o, age_s, limits),
                     health,
                     hull: (place as u8, o.hull_offset as u16, o.hull_count as u16),
                 };
@@ -245,21 +294,39 @@ impl ObstacleTable {
             let hold = match slot.log.health(now_ns, limits) {
                 SourceHealth::Fresh | SourceHealth::Held | SourceHealth::Stale => false,
                 SourceHealth::Absent => slot.declared,
+                // It sees something, perhaps, and nobody knows what.
+                SourceHealth::Refused => true,
                 SourceHealth::Expired => true,
             };
             if hold {
                 return ObstacleDemand::Hold { source_id: slot.log.source_id };
             }
         }
-        ObstacleDemand::Proceed
+        match self.crowded_out {
+            Some((source_id, at_ns)) if elapsed_s(at_ns, now_ns) <= limits.hold_after_s => {
+                ObstacleDemand::Hold { source_id }
+            }
+            _ => ObstacleDemand::Proceed,
+        }
     }
 
-    /// Forgets sources that are expired and not declared, as the operator's `clear` asks, and tells their ids; their
-    /// counters stay until the place is needed.
+    /// Whether the obstacles of an expired source have grown as far as they may.
+    pub fn is_lost(&self, now_ns: u64, limits: &InputLimits) -> bool {
+        self.slots.iter().filter(|s| s.used && !s.obstacles().is_empty()).any(|slot| {
+            let age_s = slot.log.age_s(now_ns);
+            let fastest = slot.obstacles().iter().map(|o| growth_by_age_m(o, age_s, limits)).fold(0.0, f64::max);
+            slot.log.health(now_ns, limits) == SourceHealth::Expired && fastest >= limits.growth_m_max
+        })
+    }
+
+    /// Forgets sources that are expired, or of whom nothing was ever accepted, and not declared, as the operator's `clear`
+    /// asks, and tells their ids; their counters stay until the place is needed.
     pub fn forget_expired(&mut self, now_ns: u64, limits: &InputLimits, mut forgotten: impl FnMut(u32)) {
         for slot in &mut self.slots {
-            if slot.used && !slot.declared && slot.log.health(now_ns, limits) == SourceHealth::Expired {
-                slot.log.last = None;
+            let health = slot.log.health(now_ns, limits);
+            let useless = [SourceHealth::Expired, SourceHealth::Refused].contains(&health);
+            if slot.used && !slot.declared && useless {
+                slot.log.forget();
                 forgotten(slot.log.source_id);
             }
         }
@@ -279,10 +346,19 @@ impl ObstacleTable {
         for (slot, report) in self.slots.iter().zip(&mut state.obstacle_sources) {
             *report = if slot.used { slot.log.report(now_ns, limits) } else { Default::default() };
             let health = slot.log.health(now_ns, limits);
-            state.stale_sources += u64::from(matches!(health, SourceHealth::Stale | SourceHealth::Expired));
+            state.stale_sources +=
+                u64::from(matches!(health, SourceHealth::Stale | SourceHealth::Expired | SourceHealth::Refused));
         }
         state.obstacle_sources_refused = self.sources_refused;
     }
+}
+
+/// Growth of an obstacle whose set has an age (s).
+fn growth_by_age_m(o: &Obstacle, age_s: f64, limits: &InputLimits) -> f64 {
+    let speed = o.velocity_mps.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let growth =
+        limits.growth_mps * (age_s - limits.stale_after_s).max(0.0) + speed * (age_s - limits.hold_after_s).max(0.0);
+    growth.min(limits.growth_m_max)
 }
 
 fn copy_used(to: &mut Obstacles, from: &Obstacles) {

@@ -8,6 +8,7 @@ const LIMITS: InputLimits = InputLimits {
     stale_after_s: 0.1,
     hold_after_s: 0.5,
     growth_mps: 0.2,
+    growth_m_max: 1.0,
     sigma_multiple: 3.0,
     future_tolerance_s: 0.005,
 };
@@ -126,10 +127,87 @@ fn a_silent_source_grows_then_holds_and_never_vanishes() {
     assert_eq!(at(300).health, SourceHealth::Stale);
     assert_eq!(table.demand(NOW + 300_000_000, &LIMITS), ObstacleDemand::Proceed);
     assert_eq!(table.demand(NOW + 501_000_000, &LIMITS), ObstacleDemand::Hold { source_id: 1 });
-    // An hour later it is where it was extrapolated to when the hold was asked for.
+    // An hour later it is where it was extrapolated to when the hold was asked for, and has grown as far as it may.
     assert_eq!(at(3_600_000).position_m, at(501).position_m);
     assert!((at(3_600_000).position_m[0] - 1.05).abs() < 1e-12);
-    assert_eq!(at(3_600_000).growth_m, at(501).growth_m);
+    assert_eq!(at(3_600_000).growth_m, 0.06 + LIMITS.growth_m_max);
+    assert!(!table.is_lost(NOW + SECOND, &LIMITS) && table.is_lost(NOW + 3600 * SECOND, &LIMITS));
+}
+
+#[test]
+fn wherever_an_obstacle_went_at_its_speed_after_the_hold_it_is_inside_what_is_tracked() {
+    let mut table = ObstacleTable::new(&[]);
+    let moving = Obstacle { velocity_mps: [0.036, 0.0, 0.0], ..Obstacle::ball(1, [0.5, 0.0, -1.0], 0.1) };
+    table.accept(&set(1, 0, NOW, &[moving]), NOW, &LIMITS).unwrap();
+    for ms in [400, 501, 1000, 2000, 3000] {
+        let (o, age_s) = (track(&table, NOW + ms * 1_000_000, 0.0)[0], ms as f64 * 1e-3);
+        for truly in [0.5 + 0.036 * age_s, 0.5 + 0.036 * (2.0 * age_s.min(0.5) - age_s)] {
+            let outside_m = (truly - o.position_m[0]).abs() - o.growth_m;
+            assert!(outside_m <= 1e-9, "{ms} ms: {outside_m} m");
+        }
+    }
+}
+
+#[test]
+fn a_source_that_lives_and_is_not_understood_holds_the_arm_beside_one_that_sees_nothing() {
+    let stamp_of_the_wall_clock = 1_700_000_000 * SECOND;
+    let radius_of_zero = set(2, 0, NOW, &[Obstacle::ball(1, [0.0; 3], 0.0)]);
+    let equal_ids = set(2, 0, NOW, &[ball(1), ball(1)]);
+    for bad in [set(2, 0, stamp_of_the_wall_clock, &[ball(1)]), radius_of_zero, equal_ids] {
+        let mut table = ObstacleTable::new(&[]);
+        table.accept(&set(1, 0, NOW, &[]), NOW, &LIMITS).unwrap();
+        assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
+        table.accept(&bad, NOW, &LIMITS).unwrap_err();
+        assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Hold { source_id: 2 });
+        let mut state = State::default();
+        table.report_into(NOW, &LIMITS, &mut state);
+        assert_eq!((state.obstacle_sources[1].health, state.stale_sources), (SourceHealth::Refused.wire(), 1));
+        // Until something of it is taken, it has left, or the operator has had his say.
+        let mut understood = table.clone();
+        understood.accept(&set(2, 1, NOW, &[ball(1)]), NOW, &LIMITS).unwrap();
+        assert_eq!(understood.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
+        let mut forgotten = Vec::new();
+        table.forget_expired(NOW, &LIMITS, |id| forgotten.push(id));
+        assert_eq!((forgotten, table.demand(NOW, &LIMITS)), (vec![2], ObstacleDemand::Proceed));
+    }
+}
+
+#[test]
+fn what_the_history_holds_of_the_dead_holds_no_arm_and_a_camera_with_old_stamps_does() {
+    let mut table = ObstacleTable::new(&[]);
+    let old = |sequence| set(2, sequence, NOW - 10 * SECOND, &[ball(1)]);
+    assert_eq!(table.accept(&old(7), NOW, &LIMITS), Err(RejectCause::TooOld));
+    assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
+    (0..4).for_each(|k| assert!(table.accept(&old(k), NOW, &LIMITS).is_err()));
+    assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Hold { source_id: 2 });
+}
+
+#[test]
+fn a_source_for_which_there_is_no_place_holds_the_arm_and_a_required_one_has_its_own() {
+    let mut table = ObstacleTable::new(&[4]);
+    for source in 11..=17 {
+        table.accept(&set(source, 0, NOW, &[]), NOW, &LIMITS).unwrap();
+    }
+    assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Hold { source_id: 4 }, "required, and absent");
+    table.accept(&set(4, 0, NOW, &[]), NOW, &LIMITS).expect("its place is kept");
+    assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
+    table.accept(&set(18, 0, NOW, &[ball(1)]), NOW, &LIMITS).unwrap_err();
+    assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Hold { source_id: 18 }, "eight that see nothing before it");
+}
+
+#[test]
+fn an_id_belongs_to_the_port_that_was_accepted_first() {
+    let (camera, other) = (1_u128 << 100, 2_u128 << 100);
+    let mut table = ObstacleTable::new(&[]);
+    table.accept_from(&set(1, 0, NOW, &[ball(1)]), camera, NOW, &LIMITS).unwrap();
+    let clear = set(1, 1, NOW + 1, &[]);
+    assert_eq!(table.accept_from(&clear, other, NOW + 1, &LIMITS), Err(RejectCause::TooManySources));
+    assert_eq!(track(&table, NOW, 0.0).len(), 1, "what the camera sees stays");
+    assert_eq!((table.taken_by(1, other), table.taken_by(1, camera)), (Some(camera), None));
+    table.set_gone(camera);
+    assert!(table.log(1).unwrap().is_gone() && table.publishers() == [0; 8]);
+    table.accept_from(&clear, other, NOW + 1, &LIMITS).unwrap();
+    assert_eq!(table.taken_by(1, camera), Some(other));
 }
 
 #[test]

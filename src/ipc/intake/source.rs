@@ -3,6 +3,9 @@
 use super::{InputLimits, elapsed_s, seconds_to_ns};
 use crate::ipc::payload::{Header, REJECT_CAUSES, RejectCause, SCHEMA_VERSION, SourceHealth, SourceReport};
 
+/// Messages too old on arrival by which it shows that their source lives: several clients of one id may have died.
+const TOO_OLD_MIN: u64 = 4;
+
 /// What is known about a source: its last accepted header, and what was accepted and rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SourceLog {
@@ -14,12 +17,26 @@ pub struct SourceLog {
     pub accepted: u64,
     /// Messages rejected, by cause.
     pub rejected: [u64; REJECT_CAUSES],
+    /// Whether all that came since there was content last was rejected: somebody is there, and is not understood.
+    pub refused: bool,
+    /// Port whose messages are accepted under this id; 0 if it is not known.
+    pub publisher: u128,
+    /// Whether that port, or its process, has been found to be gone. What it said holds on.
+    pub gone: bool,
 }
 
 impl SourceLog {
     /// A source that was not heard yet.
     pub const fn new(source_id: u32) -> Self {
-        Self { source_id, last: None, accepted: 0, rejected: [0; REJECT_CAUSES] }
+        Self {
+            source_id,
+            last: None,
+            accepted: 0,
+            rejected: [0; REJECT_CAUSES],
+            refused: false,
+            publisher: 0,
+            gone: false,
+        }
     }
 
     /// Checks version, time and sequence of a header; changes nothing.
@@ -55,11 +72,32 @@ impl SourceLog {
     pub fn accept(&mut self, header: &Header) {
         self.last = Some(*header);
         self.accepted += 1;
+        (self.refused, self.gone) = (false, false);
+    }
+
+    /// The port that has this source's id, if it is another one than this and not known to be gone.
+    pub fn taken_by(&self, publisher: u128) -> Option<u128> {
+        let other = self.last.is_some() && !self.gone && ![0, publisher].contains(&self.publisher);
+        (other && publisher != 0).then_some(self.publisher)
+    }
+
+    /// Whether the source is waited for in vain (lockstep): it spoke, and its port is gone since.
+    pub fn is_gone(&self) -> bool {
+        self.gone
     }
 
     /// Counts a rejected message.
     pub fn reject(&mut self, cause: RejectCause) {
-        self.rejected[cause.wire() as usize] += 1;
+        let count = &mut self.rejected[cause.wire() as usize];
+        *count += 1;
+        // What a client that died long ago said last comes once, from the history of the service; whoever lives comes again.
+        let alive = cause != RejectCause::TooOld || *count >= TOO_OLD_MIN;
+        self.refused |= self.last.is_none() && alive;
+    }
+
+    /// There is no content any more: the source left, or was forgotten.
+    pub fn forget(&mut self) {
+        (self.last, self.refused, self.gone) = (None, false, false);
     }
 
     /// Age of the newest content (s); infinite if there is none, 0 if it is from the tolerated future.
@@ -70,7 +108,7 @@ impl SourceLog {
     /// Health of the source.
     pub fn health(&self, now_ns: u64, limits: &InputLimits) -> SourceHealth {
         if self.last.is_none() {
-            return SourceHealth::Absent;
+            return if self.refused { SourceHealth::Refused } else { SourceHealth::Absent };
         }
         let age_s = self.age_s(now_ns);
         if age_s > limits.hold_after_s {
@@ -104,6 +142,7 @@ mod tests {
         stale_after_s: 0.1,
         hold_after_s: 0.5,
         growth_mps: 0.2,
+        growth_m_max: 1.0,
         sigma_multiple: 3.0,
         future_tolerance_s: 0.005,
     };

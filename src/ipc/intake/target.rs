@@ -65,11 +65,29 @@ impl TargetTrack {
     /// # Errors
     /// The cause for which it was rejected; already counted.
     pub fn accept(&mut self, message: &Target, now_ns: u64, limits: &InputLimits) -> Result<(), RejectCause> {
-        let checked = admit(&mut self.log, &message.header, now_ns, limits)
+        self.accept_from(message, 0, now_ns, limits)
+    }
+
+    /// The same of a port (0: not known), to which the source's id belongs until the source is not fresh any more or its
+    /// port is [gone](Self::set_gone).
+    ///
+    /// # Errors
+    /// As [`Self::accept`].
+    pub fn accept_from(
+        &mut self,
+        message: &Target,
+        publisher: u128,
+        now_ns: u64,
+        limits: &InputLimits,
+    ) -> Result<(), RejectCause> {
+        let checked = admit(&mut self.log, &message.header, publisher, now_ns, limits)
             .and_then(|()| self.validate(message))
             .and_then(|()| self.insert(message, now_ns));
         match checked {
-            Ok(()) => self.log.accept(&message.header),
+            Ok(()) => {
+                self.log.accept(&message.header);
+                self.log.publisher = publisher;
+            }
             Err(cause) => self.log.reject(cause),
         }
         checked
@@ -111,6 +129,26 @@ impl TargetTrack {
         self.points[end].quaternion = check::normalised(&message.quaternion);
         self.count = end + 1;
         Ok(())
+    }
+
+    /// The other port that has the service; `None` if this one may have it.
+    pub fn taken_by(&self, publisher: u128) -> Option<u128> {
+        self.log.taken_by(publisher)
+    }
+
+    /// Port in use that is not known to be gone, 0 for none.
+    pub fn publisher(&self) -> u128 {
+        if self.log.gone { 0 } else { self.log.publisher }
+    }
+
+    /// Notes that the port in use is gone: a run in lockstep does not wait for it.
+    pub fn set_gone(&mut self) {
+        self.log.gone = self.log.last.is_some();
+    }
+
+    /// What is known of the source.
+    pub fn log(&self) -> &SourceLog {
+        &self.log
     }
 
     /// Forgets all points (after a stop or a fault); the source's clock and sequence go on.

@@ -135,6 +135,8 @@ wire_enum! {
         Expired = 3, "expired";
         /// A target that stands still and is held: its age does not matter.
         Held = 4, "held";
+        /// It sends, or sent, and nothing of it was ever accepted: the arm is asked to hold.
+        Refused = 5, "refused";
     }
 }
 
@@ -167,8 +169,8 @@ wire_enum! {
         DuplicateId = 11, "two obstacles with one id";
         /// Another number of cables or segments than the arm has.
         WrongCount = 12, "wrong number of cables or segments";
-        /// No place is left for another source.
-        TooManySources = 13, "too many sources";
+        /// No place is left for another source, or another process has the source's id.
+        TooManySources = 13, "too many sources, or another process has this id";
         /// The capture time is older than `hold_after` already.
         TooOld = 14, "too old on arrival";
         /// A weight is negative or absurd.

@@ -32,8 +32,7 @@ pub struct Target {
     pub curvature_1pm: [f64; MAX_CURVATURES],
     /// Their rates (1/(m s)).
     pub curvature_rate_1pms: [f64; MAX_CURVATURES],
-    /// Weight of the task from here on, in place of the configured one: that of curvatures and their rates (46) in shape
-    /// mode, that of the pose (42) in tip mode, whose rate weight goes with it. 0: the configured one.
+    /// Weight that the client gives its task; recorded. It does not change the motion, whose pace is the governor's. 0: none.
     pub weight: f64,
 }
 

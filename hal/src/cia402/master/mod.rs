@@ -59,6 +59,7 @@ pub struct Master {
     faults: VecDeque<DriveFault>,
     faults_dropped: u64,
     heartbeat_due_ns: u64,
+    heartbeats: u64,
     cycle_due_ns: u64,
     started: bool,
 }
@@ -96,6 +97,7 @@ impl Master {
             faults: VecDeque::new(),
             faults_dropped: 0,
             heartbeat_due_ns: 0,
+            heartbeats: 0,
             cycle_due_ns: 0,
             started: false,
             config,
@@ -170,6 +172,12 @@ impl Master {
                 s.resetting = Some(cycle);
             }
         }
+    }
+
+    /// Heartbeats of its own that it has given to each bus, since it was made. Whoever hears more of them on a bus hears
+    /// another node with the same id.
+    pub fn heartbeats(&self) -> u64 {
+        self.heartbeats
     }
 
     /// What is known of each drive, in the order of cables.
@@ -382,6 +390,7 @@ impl Master {
     fn produce_heartbeat(&mut self, now_ns: u64) {
         if now_ns >= self.heartbeat_due_ns {
             self.heartbeat_due_ns = now_ns + u64::from(self.config.heartbeat_ms) * 1_000_000;
+            self.heartbeats += 1;
             let beat = NmtState::Operational.heartbeat(self.config.node);
             for bus in 0..self.buses.len() {
                 // One that still waits says the same.
