@@ -254,7 +254,7 @@ fn a_target_that_goes_stale_leads_to_a_hold_of_the_pose_at_that_time() {
     let start = rig.cycle.record_mut().tip_position_m;
     rig.target = Some(tip([0.05, 0.0, start[2] + 0.01], [0.0; 3]));
     rig.ask(Request::Track);
-    rig.run(60);
+    rig.run(300);
     assert_eq!(rig.cycle.mode(), Mode::Tracking);
     let at_hold = rig.cycle.record_mut().tip_position_m;
     assert!(at_hold[0] > 0.01, "it moved: {at_hold:?}");
@@ -280,10 +280,11 @@ fn lead_removes_the_lag_of_the_rate_weights() {
         rig.target = Some(tip([0.0, 0.0, z], [0.0; 3]));
         rig.ask(Request::Track);
         rig.run(200);
-        for k in 0..400 {
+        for k in 0..600 {
             rig.target = Some(tip([v * PERIOD_S * f64::from(k), 0.0, z], [v, 0.0, 0.0]));
             rig.step(None);
-            if k > 200 {
+            // Until then the start of the motion swings on.
+            if k > 400 {
                 worst = worst.max(rig.cycle.record_mut().tip_error_m);
             }
         }
@@ -296,8 +297,7 @@ fn lead_removes_the_lag_of_the_rate_weights() {
 }
 
 #[test]
-fn a_targets_weight_stands_in_place_of_the_configured_one() {
-    // The rate of approach of a shape goes with its weight against the one on changes of tensions.
+fn a_targets_weight_does_not_reach_the_loop_and_one_below_zero_is_a_fault() {
     let bent_after = |weight: f64| {
         let mut rig = Rig::real(&settings(), 3);
         rig.arm();
@@ -306,10 +306,9 @@ fn a_targets_weight_stands_in_place_of_the_configured_one() {
         rig.run(100);
         rig.cycle.record_mut().curvature_1pm[1]
     };
-    let configured = settings().weights.shape.curvature;
-    let (none, same, light) = (bent_after(0.0), bent_after(configured), bent_after(1e-3 * configured));
-    assert_eq!(none, same);
-    assert!(none > 0.01 && light < 0.5 * none, "{light} with a thousandth, {none}");
+    let none = bent_after(0.0);
+    assert!(none > 0.02, "it is on its way: {none}");
+    assert_eq!(none, bent_after(1e-3 * settings().weights.shape.curvature));
 
     let mut rig = Rig::real(&settings(), 3);
     rig.arm();

@@ -53,7 +53,10 @@ fn live(rig: &mut Rig, seen: &mut Seen) {
     let k = rig.tick % 2000;
     let t = k as f64 * PERIOD_S;
     let x = 0.28 + 0.1 * (0.5 * t).cos();
-    rig.move_to(0, [x, 0.05, -2.1], [-0.05 * (0.5 * t).sin(), 0.0, 0.0]);
+    // In the evening they are far away.
+    let away = if k < 1200 { 0.0 } else { 0.5 };
+    rig.move_to(0, [x + away, 0.05, -2.1], [-0.05 * (0.5 * t).sin(), 0.0, 0.0]);
+    rig.move_to(1, [-0.25 - away, 0.0, -1.5], [0.0; 3]);
     rig.target = Some(match k {
         0..600 => tip([0.08 * (0.4 * t).sin(), 0.05, -2.72], [0.032 * (0.4 * t).cos(), 0.0, 0.0]),
         _ => shape([0.2, 0.1, -0.2, 0.0, 0.1, 0.1, 0.0, 0.2]),

@@ -48,7 +48,7 @@ pub(super) const SEGMENT_WEIGHTS: Kind = Kind::Floats(Length::Between(1, 8), Ran
 pub static WEIGHTS: TableSpec = TableSpec {
     header: "[weights]",
     name: "weights",
-    about: "Weights of the cost (15) in the daemon; the defaults are the paper's. `W` is meant for period = lookahead and is scaled by lookahead/period.",
+    about: "Weights of the cost (15) in the daemon; the defaults are the paper's. `W` is meant for period = lookahead and is scaled by lookahead/period. The loop steers mean curvatures with the weights `tension`, `tension_change`, `pose` and `rate` of `[weights.tip]`, for every kind of target.",
     keys: &[
         Key::optional("tip", Kind::Table(&TIP), "", "its defaults", "For tip targets."),
         Key::optional("shape", Kind::Table(&SHAPE), "", "its defaults", "For shape targets."),
@@ -70,14 +70,14 @@ static TIP: TableSpec = TableSpec {
         ),
         Key::default("pose", POSITIVE_WEIGHT, "1/m^2, 1", "5e12", "Tip position and quaternion."),
         Key::default("rate", WEIGHT, "s^2/m^2, s^2", "5e10", "Their rates."),
-        Key::default("damping", WEIGHT, "s^2/m^2, s^2", "1e8", "Rates of all other nodes."),
+        Key::default("damping", WEIGHT, "s^2/m^2, s^2", "1e8", "Rates of all other nodes; not used by the loop."),
     ],
 };
 
 static SHAPE: TableSpec = TableSpec {
     header: "[weights.shape]",
     name: "shape",
-    about: "Weights for shape targets, (46) at its end.",
+    about: "Weights for shape targets, (46) at its end; not used by the loop, which steers every target with `[weights.tip]`.",
     keys: &[
         Key::default("tension", POSITIVE_WEIGHT, "1/N^2", "1.0", "R = r I."),
         Key::optional(

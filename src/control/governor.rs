@@ -85,6 +85,8 @@ pub struct Governor {
     quaternion: Vector4<f64>,
     /// Iterations so far and starts tried, while a new target is looked for.
     solving: Option<(usize, usize)>,
+    /// At rest after a tip target: the tip is held, and whether it is already known where.
+    holds_tip: Option<bool>,
     /// Best equilibrium so far of those starts, and its error.
     best: RestingArm,
     best_error: f64,
@@ -144,6 +146,7 @@ impl Governor {
             position: Vector3::zeros(),
             quaternion: Vector4::new(1.0, 0.0, 0.0, 0.0),
             solving: None,
+            holds_tip: None,
             best: RestingArm::new(arm),
             best_error: f64::INFINITY,
             goal: vec![0.0; count],
@@ -244,6 +247,7 @@ impl Governor {
     /// Starts from where the arm is, a shape `q` with multipliers and mean curvatures (1/m), at rest.
     pub fn restart(&mut self, q: &[f64], lambda: &[f64], curvatures: &[f64]) {
         self.kind = Kind::Rest;
+        self.holds_tip = None;
         self.solving = None;
         self.outcome = None;
         self.blocked = false;
@@ -283,13 +287,15 @@ impl Governor {
         self.move_on(h, q, curvatures, around);
     }
 
+    /// A posture is held as it is, a tip where it comes to rest.
     fn come_to_rest(&mut self) {
+        self.holds_tip = if self.kind == Kind::Tip { Some(false) } else { None };
         self.kind = Kind::Rest;
         self.solving = None;
         self.outcome = None;
-        // As far as the present rates carry while they fade.
+        // As far as the present rates carry while they fade, at four times the acceleration of a path.
         let speed = self.speed();
-        let fade_s = (4.0 * speed / self.settings.acceleration_mps2).max(0.2);
+        let fade_s = (0.5 * speed / self.settings.acceleration_mps2).max(0.2);
         for i in 0..self.goal.len() {
             self.goal[i] = self.reference()[i] + 0.5 * fade_s * self.rate[i];
         }
@@ -531,7 +537,19 @@ impl Governor {
             return;
         }
         self.damp(h);
-        let following = self.kind == Kind::Tip && self.solving.is_none() && !on_path;
+        if self.kind == Kind::Rest && !on_path && self.holds_tip == Some(false) {
+            (self.position, self.quaternion) = self.reference.rest().tip();
+            self.holds_tip = Some(true);
+        }
+        if self.kind == Kind::Rest {
+            self.last = (self.position, self.quaternion);
+        }
+        let steers_tip = match self.kind {
+            Kind::Tip => self.solving.is_none(),
+            Kind::Rest => self.holds_tip == Some(true),
+            Kind::Shape => false,
+        };
+        let following = steers_tip && !on_path;
         let kappa = self.reference.rest().curvatures();
         let (mut tip, mut drift_weight) = (None, 1.0);
         if following {

@@ -40,7 +40,9 @@ pub fn settings() -> Settings {
     };
     let observer =
         ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
-    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, config.governor, config.guard)
+    // Fast: what these tests look at takes a second or two.
+    let governor = GovernorConfig { speed_mps: 0.5, acceleration_mps2: 1.0, bend_rate_radps: 1.5, ..config.governor };
+    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, governor, config.guard)
 }
 
 /// The same with a pretension: the safe value is not zero.

@@ -64,7 +64,7 @@ impl Default for Choice {
             lead: None,
             stiffness_ratio: 2.0,
             damping: 2.0,
-            filter: 0.3,
+            filter: 0.1,
             disturbance_time: 0.4,
             rate_max: None,
             open_loop: false,
