@@ -6,7 +6,7 @@
 //! * [`truth`]: the arm; [`drive`]: the drives' protocol; [`rig`]: drums, brakes and encoders between them;
 //! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`wire`]: what goes wrong on
 //!   the buses; [`trace`]: the truth on file;
-//! * [`bench`]: the controller and the arm in one process, [`poses`]: a campaign of static poses with it;
+//! * [`mod@bench`]: the controller and the arm in one process, [`poses`]: a campaign of static poses with it;
 //! * [`config`]: the table of the plant's settings.
 
 pub mod bench;

@@ -1,6 +1,7 @@
 //! Still at poses that nobody prepared: what the true arm does after a step of the target, in the short form of the campaign
 //! (`cargo run --release -p sim_plant --example campaign -- poses`).
 
+#![allow(clippy::expect_used)] // a test stops where it cannot go on
 use sim_plant::bench::Bench;
 use sim_plant::poses::{Shown, random, show};
 use sim_plant::truth::TruthSettings;

@@ -13,7 +13,7 @@
 //! given up at the price of distance, never at the price of speed.
 
 use super::rest::{POSE, RestingArm};
-use crate::collision::{Body, BodyGeometry, ObstacleSet, Proximity};
+use crate::collision::{Body, BodyGeometry, OBSTACLES_MAX, Obstacle, ObstacleSet, Proximity};
 use crate::config::{ArmConfig, BodyModel};
 use crate::math::block_tridiagonal::COORDINATES;
 use crate::math::chain::Singular;
@@ -87,6 +87,8 @@ const MOTION_SHARE: f64 = 2.5e-4;
 const CHANGE_SHARE: f64 = 0.04;
 /// Most pairs that a step looks at.
 const PAIRS_MAX: usize = 128;
+/// Faster growth is a jump, of which the barrier takes its share (m/s).
+const GROWTH_MAX_MPS: f64 = 0.5;
 /// A pair that bends of this much cannot bring to the clearance (rad) is only kept from getting nearer.
 const HOPELESS_RAD: f64 = 1.5;
 
@@ -99,6 +101,8 @@ pub struct Reference {
     positions: Vec<Vector3<f64>>,
     tangents: Vec<Vector3<f64>>,
     rows: Vec<Proximity>,
+    /// Growth of the obstacles in the step before (m).
+    growth: Vec<f64>,
     solver: Solver,
     /// Length of the segment of each curvature (m).
     length: Vec<f64>,
@@ -129,6 +133,7 @@ impl Reference {
             positions: vec![Vector3::zeros(); n + 1],
             tangents: vec![Vector3::zeros(); n + 1],
             rows: Vec::with_capacity(PAIRS_MAX),
+            growth: Vec::with_capacity(OBSTACLES_MAX),
             solver: Solver::new(count, PAIRS_MAX + count),
             length: segment_lengths(arm),
             a: vec![0.0; count * count],
@@ -281,11 +286,16 @@ impl Reference {
         self.rows.clear();
         self.rows.extend_from_slice(&found.rows[..found.rows.len().min(PAIRS_MAX)]);
         let mut kept = 0;
+        // An obstacle that was not there before does not grow.
+        let known = self.growth.len().min(around.now.len());
+        self.growth.truncate(known);
+        self.growth.extend(around.now.as_slice()[known..].iter().map(Obstacle::growth));
         for row in &self.rows {
             let now = &around.now.as_slice()[row.obstacle];
             // What the obstacle takes of the distance by its own motion (m/s).
             let before = now.distance(&row.position).0 - row.inflation;
-            let obstacle_rate = (row.distance - before) / around.span_s;
+            let growing = (now.growth() - self.growth[row.obstacle]).max(0.0) / h;
+            let obstacle_rate = (row.distance - before) / around.span_s - growing.min(GROWTH_MAX_MPS);
             let distance = row.distance + obstacle_rate.min(0.0) * around.beyond_s;
             let c = &mut self.c[kept * count..(kept + 1) * count];
             c.fill(0.0);
@@ -324,6 +334,8 @@ impl Reference {
             self.d[kept] = d;
             kept += 1;
         }
+        self.growth.clear();
+        self.growth.extend(around.now.as_slice().iter().map(Obstacle::growth));
         kept
     }
 }
