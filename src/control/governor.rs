@@ -47,8 +47,6 @@ const BLOCKED_RAD: f64 = 0.1;
 /// By how much farther than the planner the reference keeps from obstacles, over the arm's length: the planner's rows are
 /// for what the reference could not know.
 const AHEAD_OF_PLANNER: f64 = 7e-4;
-/// Share of the cables' range of tension that a posture may need.
-const LOAD: f64 = 0.95;
 /// What a posture's load beyond it counts as, over the reach.
 const OVERLOAD: f64 = 100.0;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
@@ -73,8 +71,8 @@ pub struct Governor {
     settings: GovernorConfig,
     /// A target that moves by more than this at once is a step (m).
     step_m: f64,
-    /// Largest difference of tensions that a posture may need (N).
-    tension_span_n: f64,
+    /// Range of the cables' tensions (N).
+    tension_range_n: f64,
     inverse: Inverse,
     /// Length of the segment of each curvature (m).
     length: Vec<f64>,
@@ -125,20 +123,20 @@ impl Governor {
     pub fn new(arm: &Arm, config: &ArmConfig, settings: &GovernorConfig, planner: &PlannerConfig) -> Self {
         let tension_n = config.tension_n_min;
         let inverse = InverseSettings { attitude_length_m: settings.attitude_length_m, ..InverseSettings::default() };
-        let tension_span_n = LOAD * (config.tension_n_max - config.tension_n_min);
+        let tension_range_n = config.tension_n_max - config.tension_n_min;
         let around = ReferenceSettings {
             clearance_m: planner.clearance_m + AHEAD_OF_PLANNER * config.length_m(),
             approach_1ps: settings.approach_1ps,
             reach_m: REACH * config.length_m(),
             evasion_radps: settings.evasion_radps,
-            tension_span_n,
+            tension_range_n,
         };
         let count = 2 * arm.segment_count();
         let length = segment_lengths(arm);
         Self {
             settings: *settings,
             step_m: STEP * config.length_m(),
-            tension_span_n,
+            tension_range_n,
             inverse: Inverse::new(arm, &inverse),
             length,
             tensions: vec![tension_n; arm.cable_count()],
@@ -367,8 +365,8 @@ impl Governor {
                         // A posture beyond the cables' tensions is none.
                         let mut load = 0.0f64;
                         for segment in 0..self.joints.len() {
-                            let span = self.inverse.rest().tension_span_into(segment, &mut self.drift);
-                            load = load.max(span / self.tension_span_n);
+                            load =
+                                load.max(self.inverse.rest().load_into(segment, self.tension_range_n, &mut self.drift));
                         }
                         let over = OVERLOAD * self.settings.reach_m * (load - 1.0).max(0.0);
                         let error = outcome.position_m + 0.1 * outcome.attitude_rad + over;

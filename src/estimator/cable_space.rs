@@ -54,6 +54,11 @@ impl CableSpace {
         &self.t[cable * self.angles..(cable + 1) * self.angles]
     }
 
+    /// Moments (m) about the bend angles that a newton of a cable gives: its row of `J`.
+    pub fn lever(&self, cable: usize) -> &[f64] {
+        &self.jacobian[cable * self.angles..(cable + 1) * self.angles]
+    }
+
     /// `T`, row-major cables x angles.
     pub fn matrix(&self) -> &[f64] {
         &self.t

@@ -34,8 +34,8 @@ pub struct ReferenceSettings {
     pub reach_m: f64,
     /// Largest rate of a bend angle when it gives way (rad/s).
     pub evasion_radps: f64,
-    /// Largest difference of tensions that a posture may need (N).
-    pub tension_span_n: f64,
+    /// Range of the cables' tensions that a posture may need (N).
+    pub tension_range_n: f64,
 }
 
 /// What a step is to do.
@@ -69,15 +69,15 @@ pub struct Met {
     pub distance_min: f64,
     /// Rows that had to be given up in part.
     pub given_up: usize,
-    /// Largest tension that the posture needs, over what it may need.
+    /// Largest load of a segment's cables; 1 is all that they can give.
     pub load_max: f64,
     /// Whether some row held the step back.
     pub held_back: bool,
 }
 
-/// Tensions are looked at when less than this share of their range is left.
+/// Loads are looked at when less than this share is left.
 const LOAD_NEAR: f64 = 0.3;
-/// Share of what is left of a tension's range that may be used up per second (1/s).
+/// Share of what is left of a load that may be used up per second (1/s).
 const APPROACH_BOUND_1PS: f64 = 2.0;
 /// Keeps the projection of a swing regular where curvatures move hardly any mass, over the mean of the diagonal.
 const SWING_DAMPED: f64 = 1e-3;
@@ -261,14 +261,13 @@ impl Reference {
         let count = self.delta.len();
         for segment in 0..count / 2 {
             let c = &mut self.c[rows * count..(rows + 1) * count];
-            let span = self.rest.tension_span_into(segment, c);
-            let room = self.settings.tension_span_n - span;
-            met.load_max = met.load_max.max(span / self.settings.tension_span_n);
-            // As a distance: the arm's whole range of tension is as long as the reach.
-            let scale = self.settings.reach_m / self.settings.tension_span_n;
-            if room < LOAD_NEAR * self.settings.tension_span_n {
+            let load = self.rest.load_into(segment, self.settings.tension_range_n, c);
+            met.load_max = met.load_max.max(load);
+            // As a distance: a whole load is as long as the reach.
+            let scale = self.settings.reach_m;
+            if load > 1.0 - LOAD_NEAR {
                 c.iter_mut().for_each(|c| *c *= -scale);
-                self.d[rows] = scale * room * (APPROACH_BOUND_1PS * h).min(1.0);
+                self.d[rows] = scale * (1.0 - load) * (APPROACH_BOUND_1PS * h).min(1.0);
                 rows += 1;
             }
         }

@@ -218,9 +218,13 @@ impl RestingArm {
         self.dx[row / COORDINATES * BLOCK + row % COORDINATES]
     }
 
-    /// Largest difference between tensions of a segment's cables (N) that the last linearisation expects at the present mean
-    /// curvatures, for the least of all tensions that hold them; its derivative by the curvatures (N m) to `out`.
-    pub fn tension_span_into(&self, segment: usize, out: &mut [f64]) -> f64 {
+    /// Load of a segment's cables: the bending moment that they have to give at the present mean curvatures, by the last
+    /// linearisation, over the most that tensions from 0 to `range_n` (N) can give that way. Above 1 no tensions hold the
+    /// posture. Its derivative by the curvatures (m) to `out`.
+    ///
+    /// What the cables can give is a polygon whose sides are parallel to their holes' directions (a zonotope), so the side
+    /// that is nearest decides.
+    pub fn load_into(&self, segment: usize, range_n: f64, out: &mut [f64]) -> f64 {
         let count = out.len();
         out.fill(0.0);
         let moment = |k: usize| {
@@ -228,22 +232,36 @@ impl RestingArm {
             let rest = row.iter().zip(self.curvatures.iter().zip(&self.reached));
             self.moments[k] + rest.map(|(c, (kappa, o))| c * (kappa - o)).sum::<f64>()
         };
-        let (mut most, mut least) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
-        for cable in (0..self.arm.cable_count()).filter(|c| self.arm.cable_segment[*c] == segment) {
-            let tension: f64 = (0..count).map(|k| self.space.row(cable)[k] * moment(k)).sum();
-            if tension > most.0 {
-                most = (tension, cable);
-            }
-            if tension < least.0 {
-                least = (tension, cable);
+        let own = || (0..self.arm.cable_count()).filter(|c| self.arm.cable_segment[*c] == segment);
+        let hole = |c: usize| [self.space.lever(c)[2 * segment], self.space.lever(c)[2 * segment + 1]];
+        // Of cables that run through several segments, what is left for this one's own.
+        let mut given = [0.0; 2];
+        for c in own() {
+            let tension: f64 = (0..count).map(|k| self.space.row(c)[k] * moment(k)).sum();
+            let h = hole(c);
+            given[0] += tension * h[0];
+            given[1] += tension * h[1];
+        }
+        let (mut load, mut side, mut most) = (0.0f64, [0.0; 2], 1.0);
+        for c in own() {
+            let h = hole(c);
+            for n in [[-h[1], h[0]], [h[1], -h[0]]] {
+                let can = range_n * own().map(|d| (n[0] * hole(d)[0] + n[1] * hole(d)[1]).max(0.0)).sum::<f64>();
+                let needs = n[0] * given[0] + n[1] * given[1];
+                if can > 0.0 && needs / can > load {
+                    (load, side, most) = (needs / can, n, can);
+                }
             }
         }
-        let (high, low) = (self.space.row(most.1), self.space.row(least.1));
-        for k in 0..count {
-            let f = high[k] - low[k];
-            out.iter_mut().zip(&self.inverse[k * count..(k + 1) * count]).for_each(|(to, c)| *to += f * c);
+        for c in own() {
+            let h = hole(c);
+            let f = (side[0] * h[0] + side[1] * h[1]) / most;
+            for k in 0..count {
+                let g = f * self.space.row(c)[k];
+                out.iter_mut().zip(&self.inverse[k * count..(k + 1) * count]).for_each(|(to, c)| *to += g * c);
+            }
         }
-        most.0 - least.0
+        load
     }
 
     /// The swing of an arm beside its equilibrium, seen from this one: with `s` the displacements of the nodes `q` (7N) from
