@@ -118,6 +118,13 @@ enum Voice {
     Dead,
 }
 
+/// What a bus had in lockstep.
+enum Heard {
+    Nothing,
+    Frame,
+    Sync,
+}
+
 struct Wire {
     bus: FaultShim<Box<dyn CanBus>>,
     bank: DriveBank,
@@ -289,28 +296,16 @@ impl Server {
             // Nothing is due between two frames.
             let wait = if self.wires.len() == 1 { WAIT_MAX } else { TURN.max(idle.length()) };
             for index in 0..self.wires.len() {
+                // A SYNC ends the turn: where they have piled up, one of each bus is a period, not each of this one.
                 loop {
-                    let before = self.wires[index].bus.watched();
-                    let frame = self.receive(index, wait, &mut busy).map(|received| received.frame);
-                    // The controller's SYNC is the clock; whether the drives get it is another matter.
-                    let period = self.wires[index].bus.watched() > before;
-                    if period {
-                        (heard_ns, busy) = (monotonic_ns(), true);
-                        self.on_lockstep_sync(index)?;
-                    }
-                    match frame {
-                        // Doubled or late: in a period that is over it would race the next one's frames.
-                        Some(frame) if is_sync(&frame) => self.wires[index].late_syncs += 1,
-                        Some(frame) => {
-                            self.wires[index].bank.on_frame(&frame, self.now_ns);
-                            self.flush();
+                    match self.hear(index, wait, &mut busy) {
+                        Heard::Nothing => break,
+                        Heard::Frame => {}
+                        Heard::Sync => {
+                            heard_ns = monotonic_ns();
+                            self.on_lockstep_sync(index)?;
+                            break;
                         }
-                        None if !period => break,
-                        None => {}
-                    }
-                    if period {
-                        // The others' turn: where SYNCs have piled up, one of each bus is a period, not each of this one.
-                        break;
                     }
                 }
             }
@@ -337,11 +332,56 @@ impl Server {
         self.lives.0
     }
 
+    /// Takes the next frame of a bus in, for the drives.
+    fn hear(&mut self, index: usize, wait: Duration, busy: &mut bool) -> Heard {
+        let before = self.wires[index].bus.watched();
+        let frame = self.receive(index, wait, busy).map(|received| received.frame);
+        // The controller's SYNC is the clock; whether the drives get it is another matter.
+        let sync = self.wires[index].bus.watched() > before;
+        *busy |= sync;
+        let heard = frame.is_some();
+        match frame {
+            // Doubled or late: in a period that is over it would race the next one's frames.
+            Some(frame) if is_sync(&frame) => self.wires[index].late_syncs += 1,
+            Some(frame) => {
+                self.wires[index].bank.on_frame(&frame, self.now_ns);
+                self.flush();
+            }
+            None => {}
+        }
+        match (sync, heard) {
+            (true, _) => Heard::Sync,
+            (false, true) => Heard::Frame,
+            (false, false) => Heard::Nothing,
+        }
+    }
+
     fn on_lockstep_sync(&mut self, index: usize) -> Result<(), ServerError> {
         if self.wires[index].synced.is_some() {
+            self.hear_the_others();
             // Another bus missed its SYNC: its drives keep their targets, and time goes on.
             self.finish_sync()?;
         }
+        self.latch(index);
+        if self.wires.iter().all(|wire| wire.synced.is_some()) { self.finish_sync() } else { Ok(()) }
+    }
+
+    /// Looks once more at the buses without a SYNC: it was sent before the one that has just come on another bus, so it is
+    /// there unless it was lost. This process may have been away since it looked at them.
+    fn hear_the_others(&mut self) {
+        for index in 0..self.wires.len() {
+            while self.wires[index].synced.is_none() {
+                match self.hear(index, Duration::ZERO, &mut true) {
+                    Heard::Nothing => break,
+                    Heard::Frame => {}
+                    Heard::Sync => self.latch(index),
+                }
+            }
+        }
+    }
+
+    /// The first half of a SYNC on a bus.
+    fn latch(&mut self, index: usize) {
         let now_ns = self.now_ns;
         let wire = &mut self.wires[index];
         // What is ready up to the SYNC itself, if it passed, belongs to this period.
@@ -357,7 +397,6 @@ impl Server {
         if heard > 0 {
             wire.bank.drives_mut().iter_mut().for_each(|drive| drive.latch_sync(now_ns));
         }
-        if self.wires.iter().all(|wire| wire.synced.is_some()) { self.finish_sync() } else { Ok(()) }
     }
 
     fn finish_sync(&mut self) -> Result<(), ServerError> {

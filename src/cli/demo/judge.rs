@@ -7,7 +7,7 @@
 //!
 //! The two files meet in time. In real time both carry CLOCK_MONOTONIC. In lockstep the plant counts SYNCs and the daemon
 //! ticks, and an event of the daemon's tells the number of the SYNC that went with tick 0. Laid beside each other so, the
-//! tensions of every tick must be the ones that the drums had, to a step of the torque on the wire; a tick or SYNC that is
+//! tensions of every tick, as the wire carries them, must be the ones that the drums had; a tick or SYNC that is
 //! missing or stands twice is an error too. What cannot be laid together is not judged.
 
 use super::setup::Setup;
@@ -18,7 +18,7 @@ use serde_json::Value;
 use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{ArmConfig, BodyModel};
 use sinew::control::Fault;
-use sinew::daemon::{FIRST_SYNC, overran};
+use sinew::daemon::{FIRST_SYNC, motor_bank, overran};
 use sinew::ipc::payload::{PlannerBranch, SupervisorState};
 use sinew::model::Outputs;
 use sinew::planner::{Branch, Goal};
@@ -26,6 +26,9 @@ use sinew::recording::read_each;
 use sinew::report::{Collector, Summary, Tick, tip_error};
 use sinew::scenario::Course;
 use std::path::Path;
+
+/// Between the same torque in whole per mille, as the two programs compute its tension (N).
+const WIRE_TOLERANCE_N: f64 = 1e-6;
 
 /// A run and what it came to.
 pub(super) struct Judged {
@@ -225,20 +228,25 @@ fn faults(records: &[Record], origin_ns: u64, collector: &mut Collector) {
 /// The recordings do not belong together tick by tick.
 fn offset(setup: &Setup, first_sync: Option<u64>, records: &[Record], truths: &[Truth]) -> miette::Result<u64> {
     let first_sync = first_sync.ok_or(miette!("the daemon's recording does not tell which SYNC went with tick 0"))?;
-    // Half a step of the torque on the wire, and a little for the last digit.
-    let steps: Vec<f64> = setup
-        .config
-        .drives
-        .drives
-        .iter()
-        .map(|d| 0.501e-3 * d.rated_torque_nm * d.gear_ratio / d.drum_radius_m)
-        .collect();
-    aligned(first_sync + setup.latency_ticks, records, truths, &steps, !setup.wire.is_empty())
+    let bank = motor_bank(&setup.config).into_diagnostic()?;
+    let given_n = |cable: usize, tension_n: f64| {
+        let channel = bank.channels().get(cable);
+        channel
+            .and_then(|c| c.encode_tension(tension_n).map(|(torque, _)| c.decode_tension(torque)))
+            .unwrap_or(f64::NAN)
+    };
+    aligned(first_sync + setup.latency_ticks, records, truths, given_n, !setup.wire.is_empty())
 }
 
-/// The offset, where both recordings are without a gap and the drums had what was commanded: all of it, or where frames
-/// were lost on purpose most of it, and more than half.
-fn aligned(offset: u64, records: &[Record], truths: &[Truth], steps: &[f64], disturbed: bool) -> miette::Result<u64> {
+/// The offset, where both recordings are without a gap and the drums had what was commanded, as the wire carries it
+/// (`given_n` of cable and tension): all of it, or where frames were lost on purpose most of it, and more than half.
+fn aligned(
+    offset: u64,
+    records: &[Record],
+    truths: &[Truth],
+    given_n: impl Fn(usize, f64) -> f64,
+    disturbed: bool,
+) -> miette::Result<u64> {
     let count = tracked(records);
     let Some(first) = records.first().filter(|_| count > 0) else { return Err(miette!("nothing was tracked")) };
     let syncs = first.tick + offset;
@@ -260,11 +268,13 @@ fn aligned(offset: u64, records: &[Record], truths: &[Truth], steps: &[f64], dis
             let expected = tick + offset;
             return Err(miette!("the plant's trace has SYNC {} where {expected} was to be", truth.syncs));
         }
-        let differs = |((a, b), step): &((&f64, &f64), &f64)| (*a - *b).abs() > **step;
-        let pairs = record.tensions.iter().zip(&truth.tensions).zip(steps);
-        most += steps.len();
-        arrived += steps.len();
-        for (cable, ((a, b), _)) in pairs.enumerate().filter(|(_, pair)| differs(pair)) {
+        most += record.tensions.len();
+        arrived += record.tensions.len();
+        for (cable, (a, b)) in record.tensions.iter().zip(&truth.tensions).enumerate() {
+            let a = given_n(cable, *a);
+            if (a - b).abs() <= WIRE_TOLERANCE_N {
+                continue;
+            }
             if !disturbed {
                 return Err(miette!(
                     "the drives did not apply what the controller commanded: at tick {tick} cable {} had {b:.3} N, not \
@@ -471,15 +481,15 @@ mod tests {
     fn refused(change: impl Fn(&mut Vec<Record>, &mut Vec<Truth>), disturbed: bool) -> String {
         let (mut records, mut truths) = recordings();
         change(&mut records, &mut truths);
-        aligned(100, &records, &truths, &[0.1, 0.1], disturbed).unwrap_err().to_string()
+        aligned(100, &records, &truths, |_, n| n, disturbed).unwrap_err().to_string()
     }
 
     #[test]
     fn recordings_meet_by_their_ticks() {
         let (records, truths) = recordings();
-        assert_eq!(aligned(100, &records, &truths, &[0.1, 0.1], false).unwrap(), 100);
+        assert_eq!(aligned(100, &records, &truths, |_, n| n, false).unwrap(), 100);
         // The plant went first.
-        assert_eq!(aligned(100, &records, &truths[..10], &[0.1, 0.1], false).unwrap(), 100);
+        assert_eq!(aligned(100, &records, &truths[..10], |_, n| n, false).unwrap(), 100);
     }
 
     #[test]
@@ -498,16 +508,16 @@ mod tests {
         assert!(refused(|_, t| t[7].tensions[1] += 0.2, false).contains("at tick 7 cable 2"));
         // Laid beside each other a tick off.
         let (records, truths) = recordings();
-        assert!(aligned(101, &records, &truths, &[0.1, 0.1], false).is_err());
-        assert!(aligned(101, &records, &truths, &[0.1, 0.1], true).unwrap_err().to_string().contains("less than half"));
+        assert!(aligned(101, &records, &truths, |_, n| n, false).is_err());
+        assert!(aligned(101, &records, &truths, |_, n| n, true).unwrap_err().to_string().contains("less than half"));
     }
 
     #[test]
     fn commands_lost_on_purpose_are_no_reason_unless_they_are_most() {
         let (records, mut truths) = recordings();
         truths.iter_mut().step_by(3).for_each(|t| t.tensions[0] -= 1.0);
-        assert_eq!(aligned(100, &records, &truths, &[0.1, 0.1], true).unwrap(), 100);
-        assert!(aligned(100, &records, &truths, &[0.1, 0.1], false).is_err());
+        assert_eq!(aligned(100, &records, &truths, |_, n| n, true).unwrap(), 100);
+        assert!(aligned(100, &records, &truths, |_, n| n, false).is_err());
     }
 
     #[test]
