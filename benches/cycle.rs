@@ -156,7 +156,7 @@ fn swarm(config: &Config, lines: &mut Lines) {
         rate: weights.rate,
         damping: weights.damping,
     };
-    let inputs = Inputs { state: &state, u_previous: &u, disturbance: &[], goal, now: &now, ahead: &now };
+    let inputs = Inputs { state: &state, u_previous: &u, disturbance: &[], led_to: None, goal, now: &now, ahead: &now };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut measure = |sweeps: usize| {
         let mut settings = config.planner.clone();
@@ -335,7 +335,8 @@ fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
             Placement { position_now_m: at, position_ahead_m: at, quaternion: [1.0, 0.0, 0.0, 0.0], growth_m: 0.0 };
         obstacles.place(k as usize, &placement).unwrap();
     }
-    let mut drives = DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None };
+    let mut drives =
+        DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None, emergency_stop: None };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut times = Times {
         cycle: histogram(),

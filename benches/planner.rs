@@ -45,8 +45,15 @@ fn beside(config: ArmConfig, count: usize) -> Scene {
 fn step(bencher: Bencher<'_, '_>, s: &Scene, warning: WarningBranch, branch: Branch) {
     let mut planner = Planner::new(&s.config, &scene::receding(warning), 1.0, &vec![1e4; s.arm.segment_count()]);
     let goal = scene::goal(&s.arm, &s.state);
-    let inputs =
-        Inputs { state: &s.state, u_previous: &s.u, disturbance: &[], goal, now: &s.obstacles, ahead: &s.obstacles };
+    let inputs = Inputs {
+        state: &s.state,
+        u_previous: &s.u,
+        disturbance: &[],
+        led_to: None,
+        goal,
+        now: &s.obstacles,
+        ahead: &s.obstacles,
+    };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     let report = planner.plan(&inputs, &mut rng, &mut || false);
     assert_eq!(report.branch, branch, "the bench measures another branch than its name says");

@@ -96,7 +96,8 @@ fn plan_time(config: &ArmConfig, state: &State, u: &[f64], obstacles: &ObstacleS
     settings.swarm.sweeps_max = 3;
     let mut planner = Planner::new(config, &settings, 1.0, &vec![1e4; arm.segment_count()]);
     let goal = scene::goal(&arm, state);
-    let inputs = Inputs { state, u_previous: u, disturbance: &[], goal, now: obstacles, ahead: obstacles };
+    let inputs =
+        Inputs { state, u_previous: u, disturbance: &[], led_to: None, goal, now: obstacles, ahead: obstacles };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
     time(|| {
         planner.forget();

@@ -337,7 +337,7 @@ fn an_obstacle_client_that_is_killed_in_the_middle_of_avoiding_leads_to_growth_a
     assert!(end - held > 100, "{}", end - held);
     let away = |t: &Told| (0..3).map(|i| (t.tip_m[i] - told[held].tip_m[i]).powi(2)).sum::<f64>().sqrt();
     let farthest = told[held..end].iter().map(away).fold(0.0, f64::max);
-    assert!(farthest < 0.05, "{farthest} m");
+    assert!(farthest < 0.06, "{farthest} m");
 }
 
 #[test]

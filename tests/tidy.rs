@@ -292,3 +292,17 @@ fn every_row_of_the_wire_faults_is_a_test_and_every_such_test_a_row() {
     assert_eq!(named[0], tests_in("tests/wire_faults.rs"));
     assert_eq!(named[1], tests_in("sim_plant/tests/wire_faults.rs"));
 }
+
+#[test]
+fn every_row_of_the_hazard_table_names_a_test_that_exists() {
+    let text = fs::read_to_string(root().join("docs/SAFETY.md")).unwrap();
+    let table = text.split("\n## Hazards").nth(1).unwrap().split("\n## ").next().unwrap();
+    let rows: Vec<&str> = table.lines().filter(|l| l.starts_with("| ") && !l.starts_with("| hazard |")).collect();
+    assert!(rows.len() > 15, "{}", rows.len());
+    for row in rows {
+        let cell = row.trim_end_matches('|').rsplit('|').next().unwrap().trim();
+        let parts: Vec<&str> = cell.split('`').filter(|part| !part.trim().is_empty()).collect();
+        let [file, test] = parts[..] else { panic!("no file and test: {row}") };
+        assert!(tests_in(file).contains(test), "{file} has no test {test}: {row}");
+    }
+}

@@ -369,7 +369,8 @@ fn heartbeats_of_drives_disturbed() {
 #[test]
 fn heartbeats_of_a_drive_spoilt() {
     let run = stops(&[], &["corrupt:heartbeat.5@3-4"]);
-    assert!(matches!(run.stopped(), Some((0..=18, 10, 5))), "{:?}", run.stopped());
+    // One bit in eight, the one that toggles, leaves a heartbeat what it is: then silence counts from there.
+    assert!(matches!(run.stopped(), Some((0..=38, 10, 5))), "{:?}", run.stopped());
 }
 
 // ---- emergency objects ----
@@ -388,12 +389,12 @@ fn emergency_disturbed() {
     }
 }
 
-// ---- SDO and NMT in operation: none of ours are under way ----
+// ---- SDO and NMT in operation: what is read back, and nothing that the loop waits for ----
 
 #[test]
 fn sdo_and_nmt_lost_in_operation() {
     let run = tolerates(&["drop:sdo@3-4", "drop:nmt@3-4", "drop:rpdo.1@3-3.01"]);
-    assert_eq!(run.served.disturbed, 1, "there are none");
+    assert!(run.served.disturbed > 5, "{}: each object is asked for again in its turn", run.served.disturbed);
 }
 
 // ---- all frames ----

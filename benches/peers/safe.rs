@@ -96,6 +96,7 @@ impl Server {
             state: &case.state,
             u_previous: &case.u_previous,
             disturbance: &[],
+            led_to: None,
             goal: goal(case, request),
             now: &none,
             ahead: &none,

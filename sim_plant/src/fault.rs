@@ -22,6 +22,10 @@ pub enum FaultKind {
     Dead,
     /// The drive's supply fails for a moment: it starts anew, announces itself, and has lost its configuration.
     Reboot,
+    /// The drive pulls so much more than it is told (N), and measures it.
+    Pull(f64),
+    /// The emergency stop at the drive is pressed, for good: bit 14 of its statusword.
+    Press,
 }
 
 /// Which cable.
@@ -44,17 +48,19 @@ pub struct FaultSpec {
     pub at_s: f64,
 }
 
+/// What a drive pulls too much, unless told otherwise (N).
+const PULL_N: f64 = 40.0;
 /// Step of an encoder that jumps, unless told otherwise (m).
 const JUMP_M: f64 = 0.02;
 
 impl FromStr for FaultSpec {
     type Err = String;
 
-    /// `kind:cable@seconds`, `jump:cable:metres@seconds`; without a time: at once; `any` for a cable drawn from the seed.
+    /// `kind:cable@seconds`, `jump:cable:metres@seconds`, `pull:cable:newtons@seconds`; without a time: at once; `any` for a cable drawn from the seed.
     fn from_str(text: &str) -> Result<Self, String> {
         let usage = || {
             format!(
-                "`{text}`: expected stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
+                "`{text}`: expected stick|jump|silence|trip|dead|reboot|press:CABLE[@SECONDS], jump:CABLE[:METRES][@SECONDS] or pull:CABLE[:NEWTONS][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
             )
         };
         let (what, at) = text.split_once('@').unwrap_or((text, "0"));
@@ -77,6 +83,12 @@ impl FromStr for FaultSpec {
                 }
                 FaultKind::Jump(size)
             }
+            (Some("pull"), None) => FaultKind::Pull(PULL_N),
+            (Some("pull"), Some(size)) => match size.parse() {
+                Ok(size) if f64::is_finite(size) => FaultKind::Pull(size),
+                _ => return Err(usage()),
+            },
+            (Some("press"), None) => FaultKind::Press,
             (Some("silence"), None) => FaultKind::Silence,
             (Some("trip"), None) => FaultKind::Trip,
             (Some("dead"), None) => FaultKind::Dead,
@@ -146,13 +158,25 @@ mod tests {
         assert_eq!(spec("jump:any:-0.03"), FaultSpec { kind: FaultKind::Jump(-0.03), which: Which::Any, at_s: 0.0 });
         assert_eq!(spec("dead:24@1").kind, FaultKind::Dead);
         assert_eq!(spec("reboot:2@1").kind, FaultKind::Reboot);
+        assert_eq!(spec("pull:2:-30@1").kind, FaultKind::Pull(-30.0));
+        assert_eq!(spec("press:2@1").kind, FaultKind::Press);
     }
 
     #[test]
     fn a_fault_that_makes_no_sense_is_refused_with_an_example() {
-        for text in
-            ["", "stick", "stick:0", "stick:x@1", "burn:1", "stick:1@-1", "stick:1@inf", "stick:1:2", "jump:1:nan"]
-        {
+        for text in [
+            "",
+            "stick",
+            "stick:0",
+            "stick:x@1",
+            "burn:1",
+            "stick:1@-1",
+            "stick:1@inf",
+            "stick:1:2",
+            "jump:1:nan",
+            "pull:1:x",
+            "press:1:2",
+        ] {
             let refusal = text.parse::<FaultSpec>().unwrap_err();
             assert!(refusal.contains("stick:7@12.5"), "{refusal}");
         }

@@ -44,8 +44,8 @@ struct Arguments {
     /// Rest in the equilibrium under these tensions (N), one per cable, reached from the straight arm.
     #[arg(long, value_name = "N", num_args = 1.., value_delimiter = ',')]
     start_tensions: Option<Vec<f64>>,
-    /// Break something: stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS since the first drive was enabled];
-    /// CABLE is counted from 1 over the whole arm, or `any`.
+    /// Break something: stick|jump|silence|trip|dead|reboot|pull|press:CABLE[:METRES or NEWTONS][@SECONDS since the first
+    /// drive was enabled]; CABLE is counted from 1 over the whole arm, or `any`.
     #[arg(long, value_name = "FAULT")]
     fault: Vec<FaultSpec>,
     /// Let frames between controller and drives go wrong, with chances from the seed:

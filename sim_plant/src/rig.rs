@@ -82,6 +82,8 @@ struct Drum {
     stuck: Option<i32>,
     /// Error of an encoder that has jumped (m).
     offset_m: f64,
+    /// What the motor pulls beyond what its drive is told (N), while it is enabled.
+    extra_n: f64,
 }
 
 /// The arm between its drums.
@@ -177,7 +179,8 @@ impl Rig {
                 self.enabled_at_s.get_or_insert(self.time_s);
             }
             // A cable does not push.
-            let motor_n = channel.decode_tension(action.torque_permille).max(0.0);
+            let extra_n = if action.enabled { drum.extra_n } else { 0.0 };
+            let motor_n = (channel.decode_tension(action.torque_permille) + extra_n).max(0.0);
             if let Some(held) = drum.held_n {
                 let carries = action.enabled && motor_n >= held - channel.tension_quantum_n();
                 drum.enabled_s = if action.enabled { drum.enabled_s + dt_s } else { 0.0 };
@@ -223,14 +226,16 @@ impl Rig {
             .held_n
             .and_then(|held| channel.encode_tension(held))
             .map_or(own_permille, |(torque, _)| torque)
+            .saturating_add(extra(channel, self.drums[cable].extra_n))
     }
 
-    /// Breaks an encoder; what a fault does to a drive is not the rig's.
-    pub fn break_encoder(&mut self, cable: usize, kind: FaultKind) {
+    /// Breaks what is between a drive and its cable; what a fault does to the drive itself is not the rig's.
+    pub fn break_drum(&mut self, cable: usize, kind: FaultKind) {
         match kind {
             FaultKind::Stick => self.drums[cable].stuck = Some(self.encoder(cable, 0.0).0),
             FaultKind::Jump(by_m) => self.drums[cable].offset_m += by_m,
-            FaultKind::Silence | FaultKind::Trip | FaultKind::Dead | FaultKind::Reboot => {}
+            FaultKind::Pull(by_n) => self.drums[cable].extra_n += by_n,
+            FaultKind::Silence | FaultKind::Press | FaultKind::Trip | FaultKind::Dead | FaultKind::Reboot => {}
         }
     }
 
@@ -258,4 +263,10 @@ impl Rig {
     pub fn truth(&self) -> &Truth {
         &self.truth
     }
+}
+
+/// Torque (per mille of rated torque) of a tension (N) of either sign, unlimited.
+fn extra(channel: &MotorChannel, tension_n: f64) -> i16 {
+    let sign = if channel.sense == Sense::Reverse { -1.0 } else { 1.0 };
+    (sign * tension_n / channel.tension_quantum_n()).round() as i16
 }

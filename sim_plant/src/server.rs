@@ -545,7 +545,7 @@ impl Server {
         let Some(since_s) = self.rig.since_enabled_s() else { return };
         while let Some((cable, kind)) = self.schedule.due(since_s) {
             tracing::warn!(cable = cable + 1, ?kind, at_s = since_s, "fault by command");
-            self.rig.break_encoder(cable, kind);
+            self.rig.break_drum(cable, kind);
             let (bus, place) = self.places[cable];
             match kind {
                 FaultKind::Silence => self.voices[cable] = Voice::Silent,
@@ -562,7 +562,12 @@ impl Server {
                         drive.power_cycle(now_ns);
                     }
                 }
-                FaultKind::Stick | FaultKind::Jump(_) => {}
+                FaultKind::Press => {
+                    if let Some(drive) = self.wires[bus].bank.drives_mut().get_mut(place) {
+                        drive.press(true);
+                    }
+                }
+                FaultKind::Stick | FaultKind::Jump(_) | FaultKind::Pull(_) => {}
             }
         }
     }

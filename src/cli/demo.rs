@@ -75,8 +75,8 @@ pub(crate) struct Demo {
     /// Kill the obstacle client (SIGKILL) at this time of the scenario.
     #[arg(long, value_name = "S", value_parser = super::positive_seconds)]
     kill_obstacle_client_at: Option<f64>,
-    /// Break something in the plant: stick|jump|silence|trip|dead|reboot:CABLE[:METRES][@SECONDS since the drives came
-    /// up].
+    /// Break something in the plant: stick|jump|silence|trip|dead|reboot|pull|press:CABLE[:METRES or NEWTONS][@SECONDS
+    /// since the drives came up].
     #[arg(long, value_name = "FAULT")]
     fault: Vec<String>,
     /// Let frames between daemon and drives go wrong: KIND[:FRAMES[.NODE]][=PROBABILITY][@FROM[-TO]], e.g. drop=0.01 for

@@ -64,6 +64,10 @@ enum Command {
     Track(requests::Ask),
     /// Ramp the tensions down, then disarm.
     Stop(requests::Ask),
+    /// Press the operator's emergency stop: the arm stops, and may not be armed until it is released.
+    ///
+    /// It is a state of the daemon and no safety function: it needs the daemon, its processor and the bus.
+    EmergencyStop(requests::EmergencyStop),
     /// Release a latched fault whose cause is gone; forget sources of obstacles that have expired.
     ///
     /// A source that expired holds the arm until it is back. One that is gone for good is forgotten by this request in every
@@ -125,6 +129,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::Hold(ask) => ask.run(RequestKind::Hold),
         Command::Track(ask) => ask.run(RequestKind::Track),
         Command::Stop(ask) => ask.run(RequestKind::Stop),
+        Command::EmergencyStop(stop) => stop.run(),
         Command::Clear(ask) => ask.run(RequestKind::Clear),
         Command::Home(ask) => ask.run(RequestKind::Home),
         Command::Target(target) => target.run(),

@@ -58,6 +58,22 @@ impl Ask {
     }
 }
 
+/// Arguments of `sinew emergency-stop`.
+#[derive(Debug, Args)]
+pub(crate) struct EmergencyStop {
+    #[command(flatten)]
+    ask: Ask,
+    /// Release it; `sinew clear` then clears the fault.
+    #[arg(long)]
+    release: bool,
+}
+
+impl EmergencyStop {
+    pub(crate) fn run(&self) -> miette::Result<Outcome> {
+        self.ask.run(if self.release { RequestKind::EmergencyRelease } else { RequestKind::EmergencyStop })
+    }
+}
+
 /// Source id under which this command gives targets.
 const SOURCE_ID: u32 = 0x5157;
 

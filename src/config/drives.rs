@@ -120,6 +120,11 @@ impl DriveConfig {
         tension_n * self.drum_radius_m / self.gear_ratio
     }
 
+    /// Step of the tension on the wire (N): a thousandth of the rated torque.
+    pub fn tension_step_n(&self) -> f64 {
+        1e-3 * self.rated_torque_nm * self.gear_ratio / self.drum_radius_m
+    }
+
     /// Cable length per encoder count (m).
     pub fn length_per_count_m(&self) -> f64 {
         std::f64::consts::TAU * self.drum_radius_m / (self.gear_ratio * f64::from(self.counts_per_turn))
@@ -151,6 +156,12 @@ pub struct DrivesConfig {
     pub master_node_id: Option<u8>,
     /// Protection that drives may lack.
     pub accept_without: Vec<Protection>,
+    /// Time between two looks at what the drives hold (s); 0 for none.
+    pub read_back_s: f64,
+    /// Bit of the statusword that is the input of an emergency stop; `None` for none.
+    pub emergency_stop_bit: Option<u8>,
+    /// Whether it is pressed where the bit is 0.
+    pub emergency_stop_low: bool,
 }
 
 /// `[drives]`.
@@ -222,6 +233,27 @@ pub static DRIVES: TableSpec = TableSpec {
             "[]",
             "Protection that drives may lack: `rpdo_timeout` (1400:05), `sync_guard` (2000:01 and 2000:02, which sinew's \
              simulated drive alone has), `torque_slope` (6087). A drive that lacks another is not used.",
+        ),
+        Key::default(
+            "read_back_s",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "s",
+            "0.02",
+            "Time between two objects that are read back from the drives in operation, one after the other: every second one is a drive's torque limit (6072), the others are what was written at the start. One that was changed stops the arm. 0 for none.",
+        ),
+        Key::optional(
+            "emergency_stop_bit",
+            Kind::Integer(0, 15),
+            "",
+            "none",
+            "Bit of the drives' statusword (6041) that is the input of an emergency stop; 8, 14 and 15 are the manufacturer's. Pressed at any drive, the arm stops, and may not be armed.",
+        ),
+        Key::default(
+            "emergency_stop_low",
+            Kind::Bool,
+            "",
+            "true",
+            "Whether it is pressed where the bit is 0, so that a broken wire is a pressed stop.",
         ),
         Key::required(
             "buses",
@@ -489,6 +521,9 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
         safe_ramp_s: table.float("safe_ramp_s"),
         master_node_id: table.integer_opt("master_node_id").and_then(|id| u8::try_from(id).ok()),
         accept_without: accept_without(table),
+        read_back_s: table.float("read_back_s"),
+        emergency_stop_bit: table.integer_opt("emergency_stop_bit").and_then(|bit| u8::try_from(bit).ok()),
+        emergency_stop_low: table.boolean("emergency_stop_low"),
     };
     if let Some(drive) = config.drives.iter().find(|d| Some(d.node_id) == config.master_node_id)
         && table.is_clean()

@@ -16,8 +16,10 @@ pub struct GovernorConfig {
     pub bend_rate_radps: f64,
     /// Turning of the tip (rad/s).
     pub turn_rate_radps: f64,
-    /// Rate of a segment's bend angle while giving way to an obstacle (rad/s).
-    pub evasion_radps: f64,
+    /// Speed with which any point of the arm gives way to an obstacle (m/s).
+    pub evasion_mps: f64,
+    /// Acceleration with which it does (m/s^2).
+    pub evasion_mps2: f64,
     /// Share of the distance to an obstacle, above the clearance, that may be used up per second (1/s).
     pub approach_1ps: f64,
     /// A pose counts as reached within this (m).
@@ -28,9 +30,11 @@ pub struct GovernorConfig {
     pub swing_damping_1ps: f64,
 }
 
-/// Default speed and acceleration over the arm's length (1/s, 1/s^2), reach and attitude's length over it.
+/// Default speeds and accelerations over the arm's length (1/s, 1/s^2), reach and attitude's length over it.
 const SPEED_1PS: f64 = 0.04;
 const ACCELERATION_1PS2: f64 = 0.018;
+const EVASION_1PS: f64 = 0.2;
+const EVASION_1PS2: f64 = 0.5;
 const REACH: f64 = 0.004;
 const ATTITUDE: f64 = 0.11;
 
@@ -59,12 +63,19 @@ pub static GOVERNOR: TableSpec = TableSpec {
         ),
         Key::default("bend_rate_radps", RATE, "rad/s", "0.3", "Rate of a segment's bend angle."),
         Key::default("turn_rate_radps", RATE, "rad/s", "0.3", "Turning of the tip."),
-        Key::default(
-            "evasion_radps",
+        Key::optional(
+            "evasion_mps",
             RATE,
-            "rad/s",
-            "1.5",
-            "Rate of a segment's bend angle while it gives way to an obstacle. An obstacle that comes faster is met.",
+            "m/s",
+            "0.2 L per second",
+            "Speed of any point of the arm while it gives way to an obstacle that comes nearer. One that comes faster is met.",
+        ),
+        Key::optional(
+            "evasion_mps2",
+            RATE,
+            "m/s^2",
+            "0.5 L per second squared",
+            "Acceleration of any point of the arm while it gives way to an obstacle.",
         ),
         Key::default(
             "approach_1ps",
@@ -105,7 +116,8 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig) -> GovernorConfig {
         acceleration_mps2: table.float_opt("acceleration_mps2").unwrap_or(ACCELERATION_1PS2 * length_m),
         bend_rate_radps: table.float("bend_rate_radps"),
         turn_rate_radps: table.float("turn_rate_radps"),
-        evasion_radps: table.float("evasion_radps"),
+        evasion_mps: table.float_opt("evasion_mps").unwrap_or(EVASION_1PS * length_m),
+        evasion_mps2: table.float_opt("evasion_mps2").unwrap_or(EVASION_1PS2 * length_m),
         approach_1ps: table.float("approach_1ps"),
         reach_m: table.float_opt("reach_m").unwrap_or(REACH * length_m),
         attitude_length_m: table.float_opt("attitude_length_m").unwrap_or(ATTITUDE * length_m),

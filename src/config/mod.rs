@@ -29,6 +29,7 @@ mod recording;
 mod scenario;
 mod scenario_file;
 pub mod schema;
+mod supervision;
 mod target;
 mod timing;
 mod weights;
@@ -53,6 +54,7 @@ pub use planner_file::{PLANNER, SCENARIO_PLANNER};
 pub use recording::{RECORDING, RecordingConfig};
 pub use scenario::*;
 pub use scenario_file::{SCENARIO, arm_of};
+pub use supervision::{SUPERVISION, SupervisionAnswer, SupervisionConfig};
 pub use target::{TARGET, TargetPolicyConfig};
 pub use timing::{LOOP, LoopConfig};
 pub use weights::{ShapeWeights, TipWeights, WEIGHTS, WeightsConfig};
@@ -68,14 +70,41 @@ static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "
 
 /// All top-level tables of the daemon's files.
 pub static TABLES: &[&TableSpec] = &[
-    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC,
-    &ACCESS, &RECORDING,
+    &ARM,
+    &LOOP,
+    &PLANNER,
+    &WEIGHTS,
+    &OBSERVER,
+    &FRICTION,
+    &GOVERNOR,
+    &GUARD,
+    &SUPERVISION,
+    &OBSTACLES,
+    &TARGET,
+    &DRIVES,
+    &IPC,
+    &ACCESS,
+    &RECORDING,
 ];
 
 /// What the daemon's files may hold.
 static KNOWN_TABLES: &[&TableSpec] = &[
-    &ARM, &LOOP, &PLANNER, &WEIGHTS, &OBSERVER, &FRICTION, &GOVERNOR, &GUARD, &OBSTACLES, &TARGET, &DRIVES, &IPC,
-    &ACCESS, &RECORDING, &PLANT,
+    &ARM,
+    &LOOP,
+    &PLANNER,
+    &WEIGHTS,
+    &OBSERVER,
+    &FRICTION,
+    &GOVERNOR,
+    &GUARD,
+    &SUPERVISION,
+    &OBSTACLES,
+    &TARGET,
+    &DRIVES,
+    &IPC,
+    &ACCESS,
+    &RECORDING,
+    &PLANT,
 ];
 
 /// Everything that the daemon needs to know.
@@ -97,6 +126,8 @@ pub struct Config {
     pub governor: GovernorConfig,
     /// `[guard]`.
     pub guard: GuardConfig,
+    /// `[supervision]`.
+    pub supervision: SupervisionConfig,
     /// `[obstacles]`.
     pub obstacles: ObstaclePolicyConfig,
     /// `[target]`.
@@ -150,6 +181,8 @@ impl Config {
         let obstacles = obstacles::read(&document.table_or_defaults(&OBSTACLES));
         let target = target::read(&document.table_or_defaults(&TARGET));
         let drives = drives::read(&document.table(&DRIVES), &arm, Some(timing.period_s));
+        let step_n = drives.drives.iter().map(DriveConfig::tension_step_n).fold(0.0, f64::max);
+        let supervision = supervision::read(&document.table_or_defaults(&SUPERVISION), &arm, timing.period_s, step_n);
         let ipc = ipc::read(&document.table_or_defaults(&IPC), &arm.name);
         let recording = recording::read(&document.table_or_defaults(&RECORDING));
         let access = access::read(&document.table_or_defaults(&ACCESS));
@@ -168,6 +201,7 @@ impl Config {
             friction,
             governor,
             guard,
+            supervision,
             obstacles,
             target,
             drives,

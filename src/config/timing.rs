@@ -24,6 +24,8 @@ pub struct LoopConfig {
     pub overruns_hold: u32,
     /// After that, time in which the tensions are ramped to their least value (s).
     pub ramp_s: f64,
+    /// Time given to the arm to be lowered when the daemon is told to end (s).
+    pub stop_timeout_s: f64,
     /// Missed deadlines, as far as not forgotten, at which the supervisor faults; more than `overruns_hold`.
     pub overruns_fault: u32,
     /// Part of the period kept back for guard, sending and the record (s); the planner gets what is left before it.
@@ -90,6 +92,15 @@ pub static LOOP: TableSpec = TableSpec {
             "Above that, time in which the tensions are ramped to their least value; planning is tried again when five ticks \
              in a row were in time. Also the ramp of a stop and of a fault.",
         ),
+        Key::default(
+            "stop_timeout_s",
+            Kind::Float(Range::closed(0.0, 3600.0)),
+            "s",
+            "120.0",
+            "Time that the daemon, told to end (SIGTERM), gives the arm to be lowered to where it rests without torque; then the \
+             tensions are taken off where it is. The unit's `TimeoutStopSec` must be longer. `sinew stop` waits as long as the way \
+             is blocked; `sinew disarm` does not. 0: no stop lowers the arm; the tensions are ramped down where it is.",
+        ),
         Key::optional(
             "overruns_fault",
             Kind::Integer(1, 10000),
@@ -122,6 +133,7 @@ pub(super) fn read(table: &Section<'_>) -> LoopConfig {
         require_realtime: table.boolean("require_realtime"),
         overruns_hold: table.count_opt("overruns_hold").unwrap_or_else(|| periods(HOLD_S).clamp(2, 1000)) as u32,
         ramp_s: table.float("ramp_s"),
+        stop_timeout_s: table.float("stop_timeout_s"),
         overruns_fault: table.count_opt("overruns_fault").unwrap_or_else(|| periods(FAULT_S).clamp(10, 10_000)) as u32,
         reserve_s: table.float("reserve_s"),
     };

@@ -64,6 +64,12 @@ pub trait Estimator {
     fn disturbance_nm(&self) -> &[f64] {
         &[]
     }
+
+    /// Correction w as moments (N m), (y, z) segment by segment: with the disturbance what acts beside the tensions; may be
+    /// empty.
+    fn correction_nm(&self) -> &[f64] {
+        &[]
+    }
 }
 
 impl Estimator for Observer {
@@ -103,5 +109,9 @@ impl Estimator for Observer {
 
     fn disturbance_nm(&self) -> &[f64] {
         Self::disturbance_moments(self)
+    }
+
+    fn correction_nm(&self) -> &[f64] {
+        Self::correction_moments(self)
     }
 }

@@ -28,6 +28,18 @@ pub enum Fault {
         /// Bus (0-based).
         bus: u16,
     },
+    /// A drive measures another tension than it was told.
+    TensionError {
+        /// Cable (0-based).
+        cable: u16,
+        /// Measured beyond commanded (N).
+        error_n: f64,
+    },
+    /// An emergency stop outside of the controller is pressed.
+    EmergencyStop {
+        /// Cable whose drive has the input (0-based), [`Fault::SERVICE`] for the operator's.
+        source: u16,
+    },
     /// No reading of an encoder for too long.
     EncoderSilent {
         /// Cable (0-based).
@@ -48,6 +60,24 @@ pub enum Fault {
         cable: u16,
         /// Motion of the model's cable meanwhile (m).
         motion_m: f64,
+    },
+    /// What an encoder shows does not fit the other cables of its segment.
+    CableLength {
+        /// Cable (0-based).
+        cable: u16,
+        /// Shown beyond the others (m).
+        error_m: f64,
+        /// Motion shown over the one that the others tell; NaN where none is known.
+        factor: f64,
+        /// Another cable of the segment would explain it as well.
+        unsure: bool,
+    },
+    /// A cable does not pull what its drive was told, by what the arm does.
+    CablePull {
+        /// Cable (0-based).
+        cable: u16,
+        /// Pull over the one commanded.
+        factor: f64,
     },
     /// Model and measurement differ by more than the bound.
     InnovationBound {
@@ -92,18 +122,47 @@ pub enum Fault {
         /// Missed and not forgotten (`control::overruns`).
         count: u32,
     },
+    /// The tip is faster than declared.
+    TipSpeed {
+        /// Speed (m/s).
+        speed_mps: f64,
+    },
+    /// A segment bends faster than declared.
+    BendRate {
+        /// Rate of its bend angle (rad/s).
+        rate_radps: f64,
+    },
+    /// The arm swings by more than declared.
+    Swinging {
+        /// Swing of the tip, peak to peak (m).
+        swing_m: f64,
+    },
+    /// A tension stays at its limit.
+    Saturated {
+        /// Cable (0-based).
+        cable: u16,
+        /// Time (s).
+        time_s: f64,
+    },
 }
 
 impl Fault {
+    /// [`Fault::EmergencyStop`] of the operator's socket.
+    pub const SERVICE: u16 = u16::MAX;
+
     /// One of each, for documents and tests; the data stand for any.
-    pub const EXAMPLES: [Self; 17] = [
+    pub const EXAMPLES: [Self; 25] = [
         Self::DriveFault { cable: 0, cause: 0 },
         Self::DrivesLost,
         Self::DrivesNotUp { after_s: 0.0 },
         Self::BusLost { bus: 0 },
+        Self::TensionError { cable: 0, error_n: 0.0 },
+        Self::EmergencyStop { source: 0 },
         Self::EncoderSilent { cable: 0, age_s: 0.0 },
         Self::EncoderJump { cable: 0, step_m: 0.0 },
         Self::EncoderStuck { cable: 0, motion_m: 0.0 },
+        Self::CableLength { cable: 0, error_m: 0.0, factor: 1.0, unsure: false },
+        Self::CablePull { cable: 0, factor: 1.0 },
         Self::InnovationBound { innovation_rad: 0.0 },
         Self::InnovationGrowth { growth_rad: 0.0 },
         Self::NotSettled { after_s: 0.0 },
@@ -114,18 +173,26 @@ impl Fault {
         Self::PlanSingular { count: 0 },
         Self::TargetNotFinite,
         Self::Overruns { count: 0 },
+        Self::TipSpeed { speed_mps: 0.0 },
+        Self::BendRate { rate_radps: 0.0 },
+        Self::Swinging { swing_m: 0.0 },
+        Self::Saturated { cable: 0, time_s: 0.0 },
     ];
 
-    /// Stable number: 1x drives and bus, 2x encoders, 3x estimate, 4x plan, 5x time.
+    /// Stable number: 1x drives and bus, 2x encoders and cables, 3x estimate, 4x plan, 5x time, 6x motion.
     pub const fn code(&self) -> u32 {
         match self {
             Self::DriveFault { .. } => 10,
             Self::DrivesLost => 11,
             Self::DrivesNotUp { .. } => 12,
             Self::BusLost { .. } => 13,
+            Self::TensionError { .. } => 14,
+            Self::EmergencyStop { .. } => 15,
             Self::EncoderSilent { .. } => 20,
             Self::EncoderJump { .. } => 21,
             Self::EncoderStuck { .. } => 22,
+            Self::CableLength { .. } => 23,
+            Self::CablePull { .. } => 24,
             Self::InnovationBound { .. } => 30,
             Self::InnovationGrowth { .. } => 31,
             Self::NotSettled { .. } => 32,
@@ -136,6 +203,10 @@ impl Fault {
             Self::PlanSingular { .. } => 42,
             Self::TargetNotFinite => 43,
             Self::Overruns { .. } => 50,
+            Self::TipSpeed { .. } => 60,
+            Self::BendRate { .. } => 61,
+            Self::Swinging { .. } => 62,
+            Self::Saturated { .. } => 63,
         }
     }
 
@@ -146,8 +217,13 @@ impl Fault {
             | Self::EncoderSilent { cable, .. }
             | Self::EncoderJump { cable, .. }
             | Self::EncoderStuck { cable, .. }
+            | Self::TensionError { cable, .. }
+            | Self::CableLength { cable, .. }
+            | Self::CablePull { cable, .. }
+            | Self::Saturated { cable, .. }
             | Self::TensionNotFinite { cable }
             | Self::TensionOutside { cable, .. } => cable as u32,
+            Self::EmergencyStop { source } => source as u32,
             Self::BusLost { bus } => bus as u32,
             Self::PlanSingular { count } | Self::Overruns { count } => count,
             _ => 0,
@@ -161,9 +237,13 @@ impl Fault {
             Self::DrivesLost => "the drives left torque operation by themselves",
             Self::DrivesNotUp { .. } => "the drives did not come up in time",
             Self::BusLost { .. } => "a bus does not answer",
+            Self::TensionError { .. } => "a drive measures another tension than it was told",
+            Self::EmergencyStop { .. } => "an emergency stop is pressed",
             Self::EncoderSilent { .. } => "an encoder is silent",
             Self::EncoderJump { .. } => "an encoder jumped",
             Self::EncoderStuck { .. } => "an encoder sticks while its cable moves",
+            Self::CableLength { .. } => "an encoder does not fit the other cables of its segment",
+            Self::CablePull { .. } => "a cable does not pull what its drive was told",
             Self::InnovationBound { .. } => "model and measured cable lengths disagree",
             Self::InnovationGrowth { .. } => "model and measured cable lengths drift apart",
             Self::NotSettled { .. } => "the observer did not settle in time",
@@ -174,6 +254,10 @@ impl Fault {
             Self::PlanSingular { .. } => "the planner failed several times in a row",
             Self::TargetNotFinite => "a target that is not a number reached the loop",
             Self::Overruns { .. } => "too many deadlines missed",
+            Self::TipSpeed { .. } => "the tip is faster than declared",
+            Self::BendRate { .. } => "a segment bends faster than declared",
+            Self::Swinging { .. } => "the arm swings",
+            Self::Saturated { .. } => "a tension stays at its limit",
         }
     }
 
@@ -184,9 +268,19 @@ impl Fault {
             Self::DrivesLost => "check power, brake and enable lines of the drives, then `clear`",
             Self::DrivesNotUp { .. } => "check power, wiring and node ids of the drives, then `clear` and `arm`",
             Self::BusLost { .. } => "restore the bus (cable, termination, interface), then `clear`",
+            Self::TensionError { .. } => {
+                "check the drive's limits (6072), its current loop and who else writes to it, then `clear`"
+            }
+            Self::EmergencyStop { .. } => "release the emergency stop, then `clear`",
             Self::EncoderSilent { .. } => "restore the encoder's readings, then `clear`",
             Self::EncoderJump { .. } => "check the encoder and its cable's drum, reference it anew, then `clear`",
             Self::EncoderStuck { .. } => "check the encoder's coupling and the cable (broken, slack), then `clear`",
+            Self::CableLength { .. } => {
+                "check `sign`, `counts_per_turn`, `gear_ratio` and `drum_radius_m` of its drive, its reference, and whether the cable slips, then `clear`"
+            }
+            Self::CablePull { .. } => {
+                "check `rated_torque_nm`, `gear_ratio`, `drum_radius_m` and `sign` of its drive, whether the cable is whole, and that nothing holds the arm, then `clear`"
+            }
             Self::InnovationBound { .. } | Self::InnovationGrowth { .. } => {
                 "look for a broken or slack cable, a wrong encoder reference or an unmodelled load, then `clear`"
             }
@@ -201,6 +295,15 @@ impl Fault {
             Self::PlanSingular { .. } => "bring the arm to a regular pose, then `clear` and `arm`",
             Self::TargetNotFinite => "stop the client that sends it, then `clear`",
             Self::Overruns { .. } => "free the processor or lengthen the period, then `clear` and `arm`",
+            Self::TipSpeed { .. } | Self::BendRate { .. } => {
+                "look for what drove the arm (an obstacle that jumps, a push), or raise the limit in `[supervision]`, then `clear`"
+            }
+            Self::Swinging { .. } => {
+                "let the arm come to rest; check its damping and the observer's settings, then `clear` and `arm`"
+            }
+            Self::Saturated { .. } => {
+                "choose a pose that needs less tension, or look for a load or a contact, then `clear`"
+            }
         }
     }
 
@@ -223,6 +326,19 @@ impl fmt::Display for Fault {
             Self::EncoderStuck { cable, motion_m } => {
                 write!(f, "the encoder of cable {cable} sticks while the model moves the cable by {motion_m:.4} m")
             }
+            Self::TensionError { cable, error_n } => {
+                write!(f, "the drive of cable {cable} measures {error_n:+.2} N beyond the tension it was told")
+            }
+            Self::EmergencyStop { source: Self::SERVICE } => f.write_str("an operator's emergency stop is pressed"),
+            Self::EmergencyStop { source } => write!(f, "the emergency stop at the drive of cable {source} is pressed"),
+            Self::CableLength { cable, error_m, factor, unsure } => {
+                let which = if unsure { ", or another of its segment," } else { "" };
+                write!(f, "the encoder of cable {cable}{which} is {:.2} mm off the other cables", 1e3 * error_m)?;
+                if factor.is_finite() { write!(f, "; it shows {factor:.2} times their motion") } else { Ok(()) }
+            }
+            Self::CablePull { cable, factor } => {
+                write!(f, "cable {cable} pulls {factor:.2} times what its drive was told")
+            }
             Self::InnovationBound { innovation_rad } => {
                 write!(f, "model and measured cable lengths disagree by {innovation_rad:.3} rad")
             }
@@ -236,6 +352,12 @@ impl fmt::Display for Fault {
             }
             Self::PlanSingular { count } => write!(f, "the planner failed {count} times in a row"),
             Self::Overruns { count } => write!(f, "{count} deadlines missed"),
+            Self::TipSpeed { speed_mps } => write!(f, "the tip moves at {speed_mps:.3} m/s"),
+            Self::BendRate { rate_radps } => write!(f, "a segment bends at {rate_radps:.3} rad/s"),
+            Self::Swinging { swing_m } => write!(f, "the tip swings by {:.1} mm", 1e3 * swing_m),
+            Self::Saturated { cable, time_s } => {
+                write!(f, "the tension of cable {cable} has been at its limit for {time_s:.1} s")
+            }
             Self::DrivesLost | Self::NoStart | Self::EstimateLost | Self::TargetNotFinite => f.write_str(self.what()),
         }
     }
@@ -267,11 +389,25 @@ pub enum Limit {
     Blocked = 9,
     /// The target is out of reach; the nearest pose is approached.
     OutOfReach = 10,
+    /// The tip swings by more than `supervision.swing_m`.
+    Swinging = 16,
+    /// The tip is faster than `supervision.tip_speed_mps`.
+    TipSpeed = 17,
+    /// A segment bends faster than `supervision.bend_rate_radps`.
+    BendRate = 18,
+    /// A tension has been at its limit for `supervision.saturation_s`.
+    Saturated = 19,
+    /// A drive measures another tension than it was told.
+    TensionError = 20,
+    /// A cable's drive shows or pulls another amount than it says.
+    CableSuspect = 21,
+    /// An emergency stop outside of the controller is pressed.
+    EmergencyStop = 22,
 }
 
 impl Limit {
     /// All, in the order of their codes.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 18] = [
         Self::ObstaclesExpired,
         Self::TargetStale,
         Self::RateLimited,
@@ -283,6 +419,13 @@ impl Limit {
         Self::EncoderBridged,
         Self::Blocked,
         Self::OutOfReach,
+        Self::Swinging,
+        Self::TipSpeed,
+        Self::BendRate,
+        Self::Saturated,
+        Self::TensionError,
+        Self::CableSuspect,
+        Self::EmergencyStop,
     ];
 
     /// Stable number from 100 on, apart from those of faults.
@@ -304,6 +447,13 @@ impl Limit {
             Self::EncoderBridged => "missing reading bridged by the model",
             Self::Blocked => "the way is blocked: waiting",
             Self::OutOfReach => "target out of reach: approaching the nearest pose",
+            Self::Swinging => "the arm swings",
+            Self::TipSpeed => "the tip is faster than declared",
+            Self::BendRate => "a segment bends faster than declared",
+            Self::Saturated => "a tension stays at its limit",
+            Self::TensionError => "a drive measures another tension than it was told",
+            Self::CableSuspect => "a cable does not do what its drive says",
+            Self::EmergencyStop => "an emergency stop is pressed",
         }
     }
 }
@@ -409,10 +559,13 @@ mod tests {
     #[test]
     fn codes_are_the_ones_that_were_given_out() {
         let codes: Vec<u32> = Fault::EXAMPLES.iter().map(Fault::code).collect();
-        assert_eq!(codes, [10, 11, 12, 13, 20, 21, 22, 30, 31, 32, 33, 34, 40, 41, 42, 43, 50]);
+        assert_eq!(
+            codes,
+            [10, 11, 12, 13, 14, 15, 20, 21, 22, 23, 24, 30, 31, 32, 33, 34, 40, 41, 42, 43, 50, 60, 61, 62, 63]
+        );
         assert!(codes.iter().all(|&c| c < 64), "the latch keeps one bit per code");
         let limits: Vec<u32> = Limit::ALL.iter().map(|l| l.code()).collect();
-        assert_eq!(limits, (100..111).collect::<Vec<_>>());
+        assert_eq!(limits, (100..111).chain(116..123).collect::<Vec<_>>());
     }
 
     #[test]

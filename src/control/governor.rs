@@ -49,6 +49,8 @@ const BLOCKED_RAD: f64 = 0.1;
 const AHEAD_OF_PLANNER: f64 = 7e-4;
 /// What a posture's load beyond it counts as, over the reach.
 const OVERLOAD: f64 = 100.0;
+/// Root mean square speed of the arm's mass up to which a tip keeps its task, over the arm's length (1/s).
+const QUIET: f64 = 0.04;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
@@ -105,11 +107,16 @@ pub struct Governor {
     swing: Vec<f64>,
     mean: Vec<f64>,
     answer: Vec<f64>,
+    /// Pace at which targets are approached, and the one asked for: 1 unless something asks to slow down.
+    pace: f64,
+    pace_wanted: f64,
     /// Target of the tick before.
     last: (Vector3<f64>, Vector4<f64>),
     met: Met,
     /// Time for which the way has been blocked (s).
     blocked_s: f64,
+    /// Time for which the reference has not come nearer to the goal after its path (s).
+    stuck_s: f64,
     outcome: Option<Outcome>,
     blocked: bool,
     q: Vec<f64>,
@@ -128,7 +135,10 @@ impl Governor {
             clearance_m: planner.clearance_m + AHEAD_OF_PLANNER * config.length_m(),
             approach_1ps: settings.approach_1ps,
             reach_m: REACH * config.length_m(),
-            evasion_radps: settings.evasion_radps,
+            evasion_mps: settings.evasion_mps,
+            evasion_mps2: settings.evasion_mps2,
+            withdrawal_mps: settings.speed_mps,
+            quiet_mps: QUIET * config.length_m(),
             tension_range_n,
         };
         let count = 2 * arm.segment_count();
@@ -161,9 +171,12 @@ impl Governor {
             swing: vec![0.0; count],
             mean: vec![0.0; count],
             answer: vec![0.0; count],
+            pace: 1.0,
+            pace_wanted: 1.0,
             last: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
             met: Met::default(),
             blocked_s: 0.0,
+            stuck_s: 0.0,
             outcome: None,
             blocked: false,
             q: arm.straight(),
@@ -207,6 +220,16 @@ impl Governor {
         self.reference.rest().tip().0
     }
 
+    /// Coordinates q of the reference's equilibrium (7N).
+    pub fn reference_coordinates(&self) -> &[f64] {
+        &self.reference.rest().state().q
+    }
+
+    /// Pace at which targets are to be approached, taken on within some tenths of a second; evasion keeps its own.
+    pub fn set_pace(&mut self, pace: f64) {
+        self.pace_wanted = pace;
+    }
+
     /// What the last step met.
     pub fn met(&self) -> &Met {
         &self.met
@@ -237,6 +260,16 @@ impl Governor {
         self.blocked
     }
 
+    /// Whether a way to mean curvatures (1/m) is over, and the reference is there.
+    pub fn has_arrived(&self, curvatures: &[f64]) -> bool {
+        self.kind == Kind::Shape && !self.on_path() && self.bend_between(self.reference(), curvatures) < ARRIVED_RAD
+    }
+
+    /// Whether a way is over without having led to its goal.
+    pub fn is_stuck(&self) -> bool {
+        self.stuck_s > STUCK_S
+    }
+
     /// How well the posture reaches the tip target; `None` where there is none.
     pub fn outcome(&self) -> Option<Outcome> {
         self.outcome
@@ -250,6 +283,7 @@ impl Governor {
         self.outcome = None;
         self.blocked = false;
         self.blocked_s = 0.0;
+        self.stuck_s = 0.0;
         self.reference.rest_mut().take_shape(q, lambda);
         self.goal.copy_from_slice(curvatures);
         self.desired.copy_from_slice(curvatures);
@@ -273,6 +307,7 @@ impl Governor {
         around: Option<&Surroundings<'_>>,
     ) {
         self.before_desired.copy_from_slice(&self.desired);
+        self.pace += h / (PACE_S + h) * (self.pace_wanted - self.pace);
         match *wish {
             Wish::Rest => {
                 if self.kind != Kind::Rest {
@@ -330,9 +365,9 @@ impl Governor {
             self.last = (self.position, self.quaternion);
             // A target that runs faster than the limit is followed at the limit.
             let share = |size: f64, most: f64| if size > most { most / size } else { 1.0 };
-            let s = share(gap.norm(), self.settings.speed_mps * h);
+            let s = share(gap.norm(), self.pace * self.settings.speed_mps * h);
             self.position += s * gap;
-            let s = share(turn.norm(), self.settings.turn_rate_radps * h);
+            let s = share(turn.norm(), self.pace * self.settings.turn_rate_radps * h);
             self.quaternion = product(&self.quaternion, &from_rotation_vector(&(s * turn))).normalize();
         }
         match self.solving {
@@ -500,7 +535,7 @@ impl Governor {
     }
 
     fn move_on(&mut self, h: f64, q: &[f64], curvatures: &[f64], around: Option<&Surroundings<'_>>) {
-        let mut pace = 1.0;
+        let mut pace = self.pace;
         self.blocked = false;
         let on_path = self.on_path();
         if on_path {
@@ -508,14 +543,17 @@ impl Governor {
             let error = self
                 .bend_between(self.reference(), curvatures)
                 .max(2.0 * self.bend_between(self.reference(), &self.desired));
-            pace = (2.0 - error / BLOCKED_RAD).clamp(0.0, 1.0);
-            self.blocked = pace < 0.5;
+            let free = (2.0 - error / BLOCKED_RAD).clamp(0.0, 1.0);
+            pace *= free;
+            self.blocked = free < 0.5;
             self.blocked_s = if self.blocked { self.blocked_s + h } else { 0.0 };
         }
         self.time = (self.time + pace * h).min(self.duration);
         if self.blocked_s > GIVE_UP_S {
             self.time = self.duration;
         }
+        let away = self.kind == Kind::Shape && self.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
+        self.stuck_s = if away && !on_path { self.stuck_s + h } else { 0.0 };
         let x = if self.duration > 0.0 { self.time / self.duration } else { 1.0 };
         let t = self.duration.max(1e-9);
         for i in 0..self.goal.len() {
@@ -578,6 +616,11 @@ impl Governor {
             for i in 0..self.drift.len() {
                 self.drift[i] = self.desired[i] - self.before_desired[i] + back * (self.before_desired[i] - kappa[i]);
             }
+            // What obstacles held back is not made up for faster than any way is gone.
+            let far = self.reference.farthest(&self.drift);
+            if far > self.settings.speed_mps * h {
+                self.drift.iter_mut().for_each(|d| *d *= self.settings.speed_mps * h / far);
+            }
         }
         let wanted = Wanted { drift: &self.drift, drift_weight, tip };
         self.met = self.reference.step(h, &wanted, around);
@@ -595,6 +638,8 @@ impl Governor {
     }
 }
 
+/// Time constant with which another pace is taken on (s).
+const PACE_S: f64 = 0.3;
 /// Time constant of the mean that a swing goes about (s).
 const MEAN_S: f64 = 3.0;
 /// Time constant with which the answer to a swing fades (s).
@@ -603,6 +648,10 @@ const FADE_S: f64 = 2.0;
 const APPROACH_S: f64 = 1.0;
 /// Time after which a path that is blocked is given up for the target itself (s).
 const GIVE_UP_S: f64 = 1.0;
+/// A posture is reached within this (rad of bend).
+const ARRIVED_RAD: f64 = 0.01;
+/// Time after a path without its goal from which it is not waited for (s).
+const STUCK_S: f64 = 5.0;
 /// Starts tried after the first.
 const STARTS: usize = 6;
 

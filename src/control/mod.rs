@@ -6,8 +6,8 @@
 //! anything, allocate after [`Cycle::new`], format a string in a tick, or replace a value that is not a number in
 //! silence.
 //!
-//! [`cycle`] calls the parts in order: [`guard`] judges the encoders, an [`Estimator`] follows the arm,
-//! [`supervisor`] decides on the mode from faults, requests and progress, the planner plans, and [`guard`] has the last
+//! [`cycle`] calls the parts in order: [`guard`] judges the encoders, an [`Estimator`] follows the arm, [`supervision`]
+//! watches motion, tensions and cables, [`supervisor`] decides on the mode from faults, requests and progress, the planner plans, and [`guard`] has the last
 //! look at the tensions. Faults (the machine must change its mode; codes below 100) and limits (the machine acts within
 //! a bound; codes from 100) are kept apart in [`fault`]; what happened is kept in a ring of `Copy` events in [`event`].
 //!
@@ -28,6 +28,7 @@ pub mod overruns;
 pub mod ramp;
 pub mod record;
 pub mod settings;
+pub mod supervision;
 pub mod supervisor;
 pub mod target;
 

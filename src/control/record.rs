@@ -54,6 +54,8 @@ pub struct Record {
     pub fault_count: u32,
     /// Limits that acted.
     pub limits: Limits,
+    /// Swing of the tip that there may be, peak to peak (m); 0 where nothing was watched yet.
+    pub swing_m: f64,
     /// Drives.
     pub drives: DrivesPhase,
     /// Missed deadlines that are not forgotten.
@@ -135,6 +137,7 @@ impl Default for Record {
             fault: None,
             fault_count: 0,
             limits: Limits::default(),
+            swing_m: 0.0,
             drives: DrivesPhase::Off,
             deadlines_missed: 0,
             events_dropped: 0,

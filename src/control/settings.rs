@@ -2,7 +2,7 @@
 
 use crate::config::{
     ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig,
-    WeightsConfig,
+    SupervisionConfig, WeightsConfig,
 };
 
 /// Settings of a [`super::Cycle`], checked where they were read.
@@ -24,6 +24,8 @@ pub struct Settings {
     pub guard: GuardConfig,
     /// Limits of motion.
     pub governor: GovernorConfig,
+    /// What motion, tensions and cables are watched for.
+    pub supervision: SupervisionConfig,
     /// Tensions (N), one per cable, to which arming brings the cables and under which the observer settles; the safe
     /// values unless a task must start from another equilibrium.
     pub start_tensions_n: Vec<f64>,
@@ -46,6 +48,7 @@ impl Settings {
             config.observer.clone(),
             config.governor,
             config.guard.clone(),
+            config.supervision,
         );
         Self { friction: config.friction.clone(), ..parts }
     }
@@ -59,6 +62,7 @@ impl Settings {
         observer: ObserverConfig,
         governor: GovernorConfig,
         guard: GuardConfig,
+        supervision: SupervisionConfig,
     ) -> Self {
         Self {
             start_tensions_n: vec![arm.tension_n_min; arm.cable_count()],
@@ -73,6 +77,7 @@ impl Settings {
             governor,
             friction: FrictionConfig::NONE,
             guard,
+            supervision,
         }
     }
 

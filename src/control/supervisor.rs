@@ -6,7 +6,7 @@
 //!
 //! | mode \ request | arm | disarm | hold | track | home | stop | clear |
 //! |---|---|---|---|---|---|---|---|
-//! | Disarmed | -> Starting, or `DrivesNotReady` | ok | `Disarmed` | `Disarmed` | `Disarmed` | ok | `NothingLatched` |
+//! | Disarmed | -> Starting, or `DrivesNotReady`, `EmergencyStop`, `NotAtRest` | ok | `Disarmed` | `Disarmed` | `Disarmed` | ok | `NothingLatched` |
 //! | Starting | ok | -> Stopping (no ramp) | ok | `NotSettled` | `NotSettled` | -> Stopping | `NothingLatched` |
 //! | Holding | ok | -> Stopping (no ramp) | ok | -> Tracking, or `NoTarget`, `ObstaclesExpired` | -> Homing, or `ObstaclesExpired` | -> Stopping | `NothingLatched` |
 //! | Tracking | ok | -> Stopping (no ramp) | -> Holding | ok | -> Homing, or `ObstaclesExpired` | -> Stopping | `NothingLatched` |
@@ -19,11 +19,13 @@
 //! | mode | event | then |
 //! |---|---|---|
 //! | every one but Disarmed and Faulted | a fault | -> Faulted: ramp to the safe tension, then drives off; latched |
-//! | Starting | drives up, start tensions reached, encoders heard, observer settled | -> Holding |
-//! | Starting | `settle_timeout_s` is over | fault `DrivesNotUp`, `EncoderSilent` or `NotSettled`, by what is missing |
+//! | Starting | drives up, tensions reached, encoders heard, observer settled, start posture reached | -> Holding |
+//! | Starting | `settle_timeout_s` is over before it moves | fault `DrivesNotUp`, `EncoderSilent` or `NotSettled`, by what is missing |
 //! | Tracking | target absent or too old (`TargetStale`), obstacles expired (`ObstaclesExpired`) | -> Holding |
 //! | Homing | home reached; obstacles expired | -> Holding |
-//! | Stopping | ramp over, drives off | -> Disarmed |
+//! | Tracking, Homing | the supervision asks to hold ([`super::supervision`]) | -> Holding |
+//! | Stopping | rest posture reached, around obstacles as on any way | ramp to the safe tension, then drives off |
+//! | Stopping | ramp over, drives off, arm at rest | -> Disarmed |
 //! | Holding, Tracking, Homing | deadlines missed, see [`super::overruns`]: up to `overruns_hold`; above; `overruns_fault` | last tensions held for a tick; ramp to the safe tension, until five ticks in a row were in time; fault `Overruns` |
 //!
 //! A hold is left by a request only: an arm that waited for a lost client must not start by itself when it is back.
@@ -51,7 +53,7 @@ pub enum Mode {
     Tracking,
     /// On the way to the home pose.
     Homing,
-    /// Tensions are ramped to the safe value, then drives disabled.
+    /// The arm is lowered to where it rests without torque, tensions are ramped to the safe value, then drives disabled.
     Stopping,
     /// The same, after a fault; latched.
     Faulted,
@@ -81,7 +83,7 @@ pub enum Request {
     Track,
     /// Go to the home pose.
     Home,
-    /// Ramp down, then disarm.
+    /// Lower the arm, ramp down, disarm.
     Stop,
     /// Release a latched fault.
     Clear,
@@ -99,8 +101,12 @@ pub enum Refusal {
     Disarmed,
     /// The drives cannot be brought up: a bus is lost, or a drive is in fault or not configured.
     DrivesNotReady,
+    /// An emergency stop is pressed.
+    EmergencyStop,
     /// The observer has not settled.
     NotSettled,
+    /// The arm moves.
+    NotAtRest,
     /// There is no target, or it is too old.
     NoTarget,
     /// Obstacles are unknown or too old.
@@ -162,6 +168,8 @@ pub struct DrivesInput {
     pub fault: Option<(u16, u32)>,
     /// A bus that does not answer.
     pub bus_lost: Option<u16>,
+    /// An emergency stop that is pressed: the cable whose drive has the input, or [`Fault::SERVICE`].
+    pub emergency_stop: Option<u16>,
 }
 
 /// What the drives shall do.
@@ -186,6 +194,8 @@ pub enum Progress {
     Encoder(u16, f64),
     /// For the observer.
     Settling,
+    /// For the start posture.
+    Posture,
     /// For nothing.
     Done,
 }
@@ -209,10 +219,16 @@ pub struct Observed {
     pub target_fresh: bool,
     /// What the obstacle inputs ask for.
     pub obstacles: ObstacleDemand,
+    /// What the supervision asks to hold for.
+    pub hold: Option<Limit>,
     /// Whether the tensions are at the safe value.
     pub at_safe_tension: bool,
     /// Whether the home pose is reached; looked at in [`Mode::Homing`].
     pub at_home: bool,
+    /// Whether the rest posture is reached; looked at in [`Mode::Stopping`].
+    pub lowered: bool,
+    /// Whether the arm moves, as far as encoders and estimate tell.
+    pub moves: bool,
     /// Deadlines missed since the tick before: ticks left out, and that tick itself if its torques left after its period.
     pub missed: u32,
 }
@@ -230,10 +246,21 @@ pub enum Action {
     Track,
     /// Plan: go home.
     Home,
+    /// Plan: go to the start posture.
+    Raise,
+    /// Plan: go to the rest posture.
+    Lower,
     /// Keep the last tensions.
     Keep,
     /// Ramp to the safe tension.
     Ramp,
+}
+
+impl Action {
+    /// Whether it is the planner's.
+    pub const fn plans(self) -> bool {
+        matches!(self, Self::Hold | Self::Track | Self::Home | Self::Raise | Self::Lower)
+    }
 }
 
 /// What a tick's step decided.
@@ -256,6 +283,10 @@ pub struct Supervisor {
     entered_ns: u64,
     /// Stopping, Faulted: the tensions are still to be ramped down.
     ramping: bool,
+    /// Starting, Stopping: on the way to the start posture, to the rest posture.
+    under_way: bool,
+    /// A stop lowers the arm, and is over when it rests.
+    lowers: bool,
     overruns: Overruns,
     /// A limit that led to the present hold.
     held_by: Limits,
@@ -272,6 +303,8 @@ impl Supervisor {
             mode: Mode::Disarmed,
             entered_ns: 0,
             ramping: false,
+            under_way: false,
+            lowers: timing.stop_timeout_s > 0.0,
             overruns: Overruns::new(timing),
             held_by: Limits::default(),
             latch: FaultLatch::default(),
@@ -284,6 +317,11 @@ impl Supervisor {
     /// Present mode.
     pub const fn mode(&self) -> Mode {
         self.mode
+    }
+
+    /// Whether the planner runs: in modes that plan, and on the way to the start and the rest posture.
+    pub const fn is_planning(&self) -> bool {
+        self.mode.is_planning() || self.under_way
     }
 
     /// What is latched.
@@ -303,7 +341,7 @@ impl Supervisor {
 
     /// One tick: faults first, then the request, then what happens by itself. Does not allocate.
     pub fn step(&mut self, seen: &Observed) -> Decision {
-        self.overruns.begin(self.mode.is_planning(), seen.missed);
+        self.overruns.begin(self.is_planning(), seen.missed);
         self.find_faults(seen);
         let mut reset = false;
         // `progress` speaks of a start that was under way when the tick began.
@@ -316,8 +354,11 @@ impl Supervisor {
         });
         self.advance(seen, starting);
         let (action, overrun) = self.action();
-        self.overruns.end(matches!(action, Action::Hold | Action::Track | Action::Home));
+        self.overruns.end(action.plans());
         let mut limits = self.held_by;
+        if seen.drives.emergency_stop.is_some() {
+            limits.insert(Limit::EmergencyStop);
+        }
         overrun.into_iter().for_each(|limit| limits.insert(limit));
         let drives = match action {
             Action::Off if reset => DrivesCommand::Reset,
@@ -358,6 +399,7 @@ impl Supervisor {
     fn change(&mut self, to: Mode, cause: Cause, tick: u64, now_ns: u64) {
         let from = std::mem::replace(&mut self.mode, to);
         self.entered_ns = now_ns;
+        self.under_way = false;
         self.held_by = match cause {
             Cause::Limit(limit) => Limits(1 << limit as u32),
             _ => Limits::default(),
@@ -375,6 +417,9 @@ impl Supervisor {
             return;
         }
         let raise = |this: &mut Self, fault| this.raise(fault, seen.tick, seen.now_ns, seen.drives.phase);
+        if let Some(source) = seen.drives.emergency_stop {
+            raise(self, Fault::EmergencyStop { source });
+        }
         if let Some(bus) = seen.drives.bus_lost {
             raise(self, Fault::BusLost { bus });
         }
@@ -383,19 +428,19 @@ impl Supervisor {
         }
         seen.faults.iter().for_each(|fault| raise(self, fault));
         // Without torque although nobody took it: in every mode that needs it, after the causes that name themselves.
-        if self.mode.is_planning() && seen.drives.phase != DrivesPhase::Enabled {
+        if self.is_planning() && seen.drives.phase != DrivesPhase::Enabled {
             raise(self, Fault::DrivesLost);
         }
         if self.mode == Mode::Starting && seen.now_ns.saturating_sub(self.entered_ns) > self.settle_timeout_ns {
             let after_s = self.settle_timeout_ns as f64 * 1e-9;
             match seen.progress {
-                Progress::Done => {}
+                Progress::Done | Progress::Posture => {}
                 Progress::Drives => raise(self, Fault::DrivesNotUp { after_s }),
                 Progress::Encoder(cable, age_s) => raise(self, Fault::EncoderSilent { cable, age_s }),
                 Progress::Tensions | Progress::Settling => raise(self, Fault::NotSettled { after_s }),
             }
         }
-        if self.mode.is_planning() && self.overruns.is_fault() {
+        if self.is_planning() && self.overruns.is_fault() {
             raise(self, Fault::Overruns { count: self.overruns.count() });
         }
     }
@@ -410,8 +455,14 @@ impl Supervisor {
         let to = match (self.mode, request) {
             (Mode::Disarmed, Request::Arm) => {
                 let drives = &seen.drives;
+                if drives.emergency_stop.is_some() {
+                    return Err(Refusal::EmergencyStop);
+                }
                 if !drives.ready || drives.fault.is_some() || drives.bus_lost.is_some() {
                     return Err(Refusal::DrivesNotReady);
+                }
+                if seen.moves {
+                    return Err(Refusal::NotAtRest);
                 }
                 Mode::Starting
             }
@@ -424,7 +475,7 @@ impl Supervisor {
                 }
                 // An encoder behind a faulted drive comes back only when that drive is reset.
                 let encoders_persist = !seen.faults.is_empty() && seen.drives.fault.is_none();
-                if seen.drives.bus_lost.is_some() || encoders_persist {
+                if seen.drives.emergency_stop.is_some() || seen.drives.bus_lost.is_some() || encoders_persist {
                     return Err(Refusal::CausePersists);
                 }
                 self.latch.clear();
@@ -432,7 +483,7 @@ impl Supervisor {
                 Mode::Disarmed
             }
             (Mode::Faulted | Mode::Stopping, Request::Disarm) => {
-                self.ramping = false;
+                (self.ramping, self.under_way) = (false, false);
                 return Ok(());
             }
             (Mode::Faulted | Mode::Stopping, Request::Stop) => return Ok(()),
@@ -448,7 +499,10 @@ impl Supervisor {
             }
             (_, Request::Stop) => {
                 self.ramping = seen.drives.phase != DrivesPhase::Off;
-                Mode::Stopping
+                let lowers = self.lowers && self.is_planning();
+                self.go(Mode::Stopping, Cause::Request(request), seen);
+                self.under_way = lowers;
+                return Ok(());
             }
             (_, Request::Arm)
             | (Mode::Holding, Request::Hold)
@@ -473,16 +527,23 @@ impl Supervisor {
         let expired = seen.obstacles != ObstacleDemand::Proceed;
         match self.mode {
             Mode::Starting if starting && seen.progress == Progress::Done => self.go(Mode::Holding, Cause::Done, seen),
+            Mode::Starting => self.under_way |= starting && seen.progress == Progress::Posture,
             Mode::Tracking if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
+            Mode::Tracking | Mode::Homing if seen.hold.is_some() => {
+                let limit = seen.hold.unwrap_or(Limit::Swinging);
+                self.go(Mode::Holding, Cause::Limit(limit), seen);
+            }
             Mode::Tracking if !seen.target_fresh => self.go(Mode::Holding, Cause::Limit(Limit::TargetStale), seen),
             Mode::Homing if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
             Mode::Homing if seen.at_home => self.go(Mode::Holding, Cause::Done, seen),
+            Mode::Stopping if self.under_way => self.under_way = !seen.lowered,
             Mode::Stopping | Mode::Faulted => {
                 // Without torque there is nothing left to ramp.
                 if seen.at_safe_tension || seen.drives.phase == DrivesPhase::Off {
                     self.ramping = false;
                 }
-                if self.mode == Mode::Stopping && !self.ramping && seen.drives.phase == DrivesPhase::Off {
+                let off = !self.ramping && seen.drives.phase == DrivesPhase::Off;
+                if self.mode == Mode::Stopping && off && !(self.lowers && seen.moves) {
                     self.go(Mode::Disarmed, Cause::Done, seen);
                 }
             }
@@ -493,7 +554,9 @@ impl Supervisor {
     fn action(&self) -> (Action, Option<Limit>) {
         let plan = match self.mode {
             Mode::Disarmed => return (Action::Off, None),
-            Mode::Starting => return (Action::Tighten, None),
+            Mode::Starting if !self.under_way => return (Action::Tighten, None),
+            Mode::Starting => Action::Raise,
+            Mode::Stopping if self.under_way => Action::Lower,
             Mode::Stopping | Mode::Faulted => return (if self.ramping { Action::Ramp } else { Action::Off }, None),
             Mode::Holding => Action::Hold,
             Mode::Tracking => Action::Track,

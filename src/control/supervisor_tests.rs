@@ -4,8 +4,10 @@ use super::*;
 
 const SECOND: u64 = 1_000_000_000;
 
-const ENABLED: DrivesInput = DrivesInput { phase: DrivesPhase::Enabled, ready: true, fault: None, bus_lost: None };
-const OFF: DrivesInput = DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None };
+const ENABLED: DrivesInput =
+    DrivesInput { phase: DrivesPhase::Enabled, ready: true, fault: None, bus_lost: None, emergency_stop: None };
+const OFF: DrivesInput =
+    DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None, emergency_stop: None };
 
 fn supervisor() -> Supervisor {
     let config = crate::config::Config::builtin();
@@ -24,8 +26,11 @@ fn well() -> Observed {
         progress: Progress::Done,
         target_fresh: true,
         obstacles: ObstacleDemand::Proceed,
+        hold: None,
         at_safe_tension: false,
         at_home: false,
+        lowered: true,
+        moves: false,
         missed: 0,
     }
 }
@@ -78,6 +83,50 @@ fn ask(mode: Mode, request: Request, seen: &Observed) -> Result<Mode, Refusal> {
             Err(refusal)
         }
     }
+}
+
+#[test]
+fn a_stop_lowers_the_arm_before_it_lets_go_and_tells_disarmed_only_of_one_at_rest() {
+    let going = Observed { lowered: false, ..well() };
+    for mode in [Mode::Holding, Mode::Tracking, Mode::Homing] {
+        let mut s = in_mode(mode);
+        let decision = s.step(&Observed { request: Some(Request::Stop), ..going });
+        assert_eq!((s.mode(), decision.action, s.is_planning()), (Mode::Stopping, Action::Lower, true));
+        // However long the way is blocked.
+        for _ in 0..1000 {
+            assert_eq!(s.step(&going).action, Action::Lower);
+        }
+        assert_eq!(s.step(&well()).action, Action::Ramp, "there");
+        assert_eq!(s.step(&Observed { at_safe_tension: true, ..well() }).action, Action::Off);
+        let off = DrivesInput { phase: DrivesPhase::Off, ..ENABLED };
+        s.step(&Observed { drives: off, moves: true, ..well() });
+        assert_eq!(s.mode(), Mode::Stopping, "it still swings");
+        s.step(&Observed { drives: off, ..well() });
+        assert_eq!(s.mode(), Mode::Disarmed);
+    }
+    // Without power over it nothing is lowered, and torque is taken off at once where that is asked for.
+    let mut s = in_mode(Mode::Holding);
+    s.step(&Observed { request: Some(Request::Stop), ..going });
+    assert_eq!(s.step(&Observed { request: Some(Request::Disarm), ..going }).action, Action::Off);
+    let mut s = in_mode(Mode::Starting);
+    assert_eq!(
+        s.step(&Observed { request: Some(Request::Stop), progress: Progress::Settling, ..going }).action,
+        Action::Ramp
+    );
+}
+
+#[test]
+fn an_arm_that_moves_is_not_armed_and_one_that_rests_elsewhere_is_raised_to_its_start() {
+    let mut s = in_mode(Mode::Disarmed);
+    let arm = Observed { request: Some(Request::Arm), ..well() };
+    let answer = s.step(&Observed { moves: true, ..arm }).answer.expect("an answer");
+    assert_eq!((answer.refusal, s.mode()), (Some(Refusal::NotAtRest), Mode::Disarmed));
+    s.step(&arm);
+    let raising = Observed { progress: Progress::Posture, now_ns: 100 * SECOND, ..well() };
+    assert_eq!(s.step(&Observed { now_ns: SECOND, ..raising }).action, Action::Raise);
+    assert_eq!((s.step(&raising).action, s.mode()), (Action::Raise, Mode::Starting), "a way takes its time");
+    s.step(&well());
+    assert_eq!(s.mode(), Mode::Holding);
 }
 
 #[test]

@@ -5,6 +5,7 @@
 //! log where an alarm begins or ends. The main thread looks ten times a second; nothing here is on the way of a tick.
 
 use super::status::{DriveStatus, FaultStatus};
+use crate::control::Limit;
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
 use crate::recording::utc_text;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Something that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Alarm {
-    /// What it is about: `fault`, `obstacles 7`, `target`, `drives`, `real time`, `recording`.
+    /// What it is about: `fault`, `motion`, `emergency stop`, `obstacles 7`, `target`, `drives`, `real time`, `recording`.
     pub about: String,
     /// What is wrong.
     pub what: String,
@@ -101,6 +102,10 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
             list.push(alarm("target", "the target is too old", HOLDS, clears));
         }
     }
+    if let Some(state) = seen.state {
+        let acts = |limit: &Limit| state.limits >> (limit.code() - 100) & 1 == 1;
+        Limit::ALL.into_iter().filter(acts).filter_map(|limit| of_limit(limit, state)).for_each(|a| list.push(a));
+    }
     for (what, count) in &seen.drives.lack {
         let what = format!("{count} of {} drives lack {what}", seen.drives.count);
         list.push(alarm("drives", what, "nothing; it is accepted (`drives.accept_without`)", "other drives"));
@@ -113,6 +118,29 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
         list.push(alarm("recording", "the recording ended early", "nothing", clears));
     }
     list
+}
+
+/// The alarm of a limit; `None` for one that is part of ordinary work, or has its alarm from elsewhere.
+fn of_limit(limit: Limit, state: &State) -> Option<Alarm> {
+    // The text is what an alarm is known by from one look to the next: what changes belongs to what it does.
+    let answer = |key: &str| format!("as `supervision.{key}` says");
+    let (does, clears) = match limit {
+        Limit::Blocked => ("the arm waits".into(), "the obstacle moves, or another target"),
+        Limit::OutOfReach => ("the nearest pose is approached".into(), "a target within reach"),
+        Limit::Swinging => (format!("{:.0} mm; {}", 1e3 * state.swing_m, answer("swing_answer")), "it fades"),
+        Limit::TipSpeed => (answer("tip_speed_answer"), "it fades"),
+        Limit::BendRate => (answer("bend_rate_answer"), "it fades"),
+        Limit::Saturated => (answer("saturation_answer"), "a pose that needs less tension"),
+        Limit::TensionError => (answer("tension_error_answer"), "the drive obeys"),
+        Limit::EmergencyStop => (
+            "the arm stops, and may not be armed".into(),
+            "release it (`sinew emergency-stop --release`, or the button), then `sinew clear`",
+        ),
+        Limit::CableSuspect => (answer("cable_answer"), "the drive's data are mended, or the cable"),
+        _ => return None,
+    };
+    let about = if limit == Limit::EmergencyStop { "emergency stop" } else { "motion" };
+    Some(alarm(about, limit.text(), &does, clears))
 }
 
 fn is_heard(source: &SourceReport) -> bool {
@@ -171,6 +199,21 @@ mod tests {
         state.obstacle_sources[0].health = SourceHealth::Fresh.wire();
         alarms.update(&seen(&state));
         assert_eq!(abouts(&alarms), [absent]);
+    }
+
+    #[test]
+    fn a_limit_of_the_motion_is_an_alarm_and_one_of_ordinary_work_is_none() {
+        let bit = |limit: Limit| 1 << (limit.code() - 100);
+        let state = State {
+            limits: bit(Limit::Swinging) | bit(Limit::Blocked) | bit(Limit::BudgetSpent),
+            swing_m: 0.0311,
+            ..State::default()
+        };
+        let mut alarms = Alarms::default();
+        alarms.update(&Seen { state: Some(&state), ..Seen::default() });
+        let of = |what: &str| ("motion".to_owned(), what.to_owned());
+        assert_eq!(abouts(&alarms), [of("the way is blocked: waiting"), of("the arm swings")]);
+        assert!(alarms.0[1].does.starts_with("31 mm"), "{:?}", alarms.0);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
 use super::drive_causes::{
-    HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
+    CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
 };
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
@@ -101,6 +101,8 @@ pub(crate) struct BusThread {
     mute_cycles: u64,
     /// Virtual buses, whose drives are a process that can be asked for; empty where a bus is none.
     virtual_buses: Vec<String>,
+    /// Bit of the statusword that is the input of an emergency stop, and whether it is pressed at 0.
+    emergency_bit: Option<(u8, bool)>,
     /// What drives lack, as it was told last.
     lack: BTreeMap<String, usize>,
     /// The bus on which another node was heard under the master's id.
@@ -163,6 +165,7 @@ impl BusThread {
                 true => config.drives.buses.iter().map(|bus| bus.interface.clone()).collect(),
                 false => Vec::new(),
             },
+            emergency_bit: config.drives.emergency_stop_bit.map(|bit| (bit, config.drives.emergency_stop_low)),
             lack: BTreeMap::new(),
             id_taken_on: None,
             lives: (false, 0),
@@ -456,9 +459,11 @@ impl BusThread {
     /// Carries out what the supervisor wants.
     fn obey(&mut self, now_ns: u64) {
         if self.link.take_reset() {
-            self.memory.iter_mut().for_each(|m| (m.sticky, m.emergency) = (None, None));
             let unusable = self.master.status().any(|s| s.phase == Phase::Failed);
-            if unusable || self.memory.iter().any(|m| m.lost) {
+            // What was changed from outside is set anew.
+            let changed = self.memory.iter().any(|m| m.sticky == Some(CHANGED));
+            self.memory.iter_mut().for_each(|m| (m.sticky, m.emergency) = (None, None));
+            if unusable || changed || self.memory.iter().any(|m| m.lost) {
                 self.master.start(now_ns);
             } else {
                 self.master.reset_faults(now_ns);
@@ -548,8 +553,15 @@ impl BusThread {
         self.counts_up = (ready, enabled);
         let bus_lost = (0..self.lines.len()).find(|bus| self.is_lost(*bus)).map(|bus| bus as u16);
         let ready = ready == count && self.id_taken_on.is_none();
-        self.input = DrivesInput { phase, ready, fault, bus_lost };
+        self.input = DrivesInput { phase, ready, fault, bus_lost, emergency_stop: self.emergency_stop() };
         self.link.write(self.input);
+    }
+
+    /// The first drive whose emergency stop is pressed. What a drive said last counts until it says something else.
+    fn emergency_stop(&self) -> Option<u16> {
+        let (bit, low) = self.emergency_bit?;
+        let pressed = |word: u16| (word >> bit & 1 == 0) == low;
+        self.master.status().position(|s| s.statusword.is_some_and(pressed)).map(|cable| cable as u16)
     }
 
     /// The bus carries nothing, or none of its drives that were there is heard or answers SYNC.

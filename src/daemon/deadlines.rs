@@ -147,13 +147,22 @@ mod tests {
             tick: 0,
             now_ns: 0,
             request,
-            drives: DrivesInput { phase: DrivesPhase::Enabled, ready: true, fault: None, bus_lost: None },
+            drives: DrivesInput {
+                phase: DrivesPhase::Enabled,
+                ready: true,
+                fault: None,
+                bus_lost: None,
+                emergency_stop: None,
+            },
             faults: FaultList::default(),
             progress: Progress::Done,
             target_fresh: true,
             obstacles: ObstacleDemand::Proceed,
+            hold: None,
             at_safe_tension: false,
             at_home: false,
+            lowered: true,
+            moves: false,
             missed,
         };
         supervisor.step(&seen(0, Some(Request::Arm)));

@@ -6,7 +6,7 @@
 use sinew_hal::cia402::Fault;
 
 /// The master's own, each at its number.
-const CAUSES: [&str; 10] = [
+const CAUSES: [&str; 11] = [
     "fault without an emergency object",
     "not usable: configuration failed",
     "no boot-up after the reset",
@@ -17,6 +17,7 @@ const CAUSES: [&str; 10] = [
     "no feedback",
     "left torque operation by itself",
     "another node has sinew's own node id; change it, or `drives.master_node_id`",
+    "a limit or setting of the drive was changed from outside; the log names the object",
 ];
 
 /// A drive fault's cause in words.
@@ -37,6 +38,7 @@ const NO_TRANSITION: u32 = 6;
 pub(super) const NO_FEEDBACK: u32 = 7;
 const LEFT_OPERATION: u32 = 8;
 pub(super) const NODE_ID_TAKEN: u32 = 9;
+pub(super) const CHANGED: u32 = 10;
 
 pub(super) fn cause_of(fault: &Fault) -> u32 {
     match fault {
@@ -48,6 +50,7 @@ pub(super) fn cause_of(fault: &Fault) -> u32 {
         Fault::Transition { .. } => NO_TRANSITION,
         Fault::NoFeedback { .. } => NO_FEEDBACK,
         Fault::LeftOperation { .. } => LEFT_OPERATION,
+        Fault::Changed { .. } => CHANGED,
         Fault::Emergency(e) => u32::from(e.code),
     }
 }

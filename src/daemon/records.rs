@@ -32,7 +32,9 @@ pub fn request_of(kind: RequestKind) -> Option<Request> {
         RequestKind::Clear => Some(Request::Clear),
         RequestKind::Stop => Some(Request::Stop),
         RequestKind::Home => Some(Request::Home),
-        RequestKind::SetTarget | RequestKind::Status => None,
+        RequestKind::SetTarget | RequestKind::Status | RequestKind::EmergencyStop | RequestKind::EmergencyRelease => {
+            None
+        }
     }
 }
 
@@ -43,7 +45,9 @@ pub fn refusal_reason(refusal: Refusal) -> (RefusalReason, u32) {
         Refusal::Stopping => (RefusalReason::WrongState, 2),
         Refusal::StillRamping => (RefusalReason::WrongState, 3),
         Refusal::NothingLatched => (RefusalReason::WrongState, 4),
+        Refusal::NotAtRest => (RefusalReason::WrongState, 5),
         Refusal::DrivesNotReady => (RefusalReason::DrivesNotReady, 0),
+        Refusal::EmergencyStop => (RefusalReason::DrivesNotReady, 1),
         Refusal::NotSettled => (RefusalReason::NotSettled, 0),
         Refusal::NoTarget => (RefusalReason::NoTarget, 0),
         Refusal::ObstaclesExpired => (RefusalReason::ObstaclesExpired, 0),
@@ -57,12 +61,16 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
     match (reason, detail) {
         (RefusalReason::WrongState, 1) => "the arm is disarmed: `sinew arm` first",
         (RefusalReason::WrongState, 2) => "the arm is stopping: wait until it is disarmed",
+        (RefusalReason::WrongState, 5) => "the arm moves: wait until it rests",
         (RefusalReason::WrongState, 3) => {
             "the tensions are still on their way to the safe value: try again in a moment"
         }
         (RefusalReason::WrongState, 4) => "no fault is latched; sources of obstacles that had expired are forgotten",
         (RefusalReason::Faulted, _) => "a fault is latched: see `sinew status`, mend its cause, then `sinew clear`",
         (RefusalReason::CausePersists, _) => "the cause of the fault persists: see `sinew status`",
+        (RefusalReason::DrivesNotReady, 1) => {
+            "an emergency stop is pressed: release it (`sinew emergency-stop --release`, or the button at the drives)"
+        }
         (RefusalReason::DrivesNotReady, _) => "the drives are not ready: see `sinew status` for the first that is not",
         (RefusalReason::NotSettled, _) => "the observer has not settled yet: wait until the arm is holding",
         (RefusalReason::NoTarget, _) => {
@@ -149,6 +157,13 @@ fn value_of(fault: &Fault) -> f64 {
         Fault::InnovationGrowth { growth_rad } => growth_rad,
         Fault::TensionOutside { tension_n, .. } => tension_n,
         Fault::PlanSingular { count } | Fault::Overruns { count } => f64::from(count),
+        Fault::TensionError { error_n, .. } => error_n,
+        Fault::CableLength { error_m, .. } => error_m,
+        Fault::CablePull { factor, .. } => factor,
+        Fault::TipSpeed { speed_mps } => speed_mps,
+        Fault::BendRate { rate_radps } => rate_radps,
+        Fault::Swinging { swing_m } => swing_m,
+        Fault::Saturated { time_s, .. } => time_s,
         _ => 0.0,
     }
 }
@@ -165,6 +180,13 @@ fn limit_over(limit: Limit) -> &'static str {
         Limit::EncoderBridged => "all readings there again",
         Limit::Blocked => "the way is free again",
         Limit::OutOfReach => "target within reach again",
+        Limit::Swinging => "the arm no longer swings",
+        Limit::TipSpeed => "the tip is within its speed again",
+        Limit::BendRate => "the bends are within their rate again",
+        Limit::Saturated => "no tension stays at its limit any more",
+        Limit::TensionError => "all drives measure what they were told again",
+        Limit::EmergencyStop => "no emergency stop is pressed any more",
+        Limit::CableSuspect => "all cables do what their drives say again",
     }
 }
 
@@ -219,6 +241,8 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
     }
     distances_into(record, obstacles, state);
     state.timing = timing(&record.timing);
+    state.limits = u64::from(record.limits.0);
+    state.swing_m = record.swing_m;
 }
 
 fn plan_into(record: &Record, warning: PlannerBranch, state: &mut State) {
@@ -295,7 +319,9 @@ mod tests {
             Refusal::StillRamping,
             Refusal::NothingLatched,
             Refusal::DrivesNotReady,
+            Refusal::EmergencyStop,
             Refusal::NotSettled,
+            Refusal::NotAtRest,
             Refusal::NoTarget,
             Refusal::ObstaclesExpired,
             Refusal::Faulted,

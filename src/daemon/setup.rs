@@ -143,6 +143,7 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
     master.layouts = drives.buses.iter().map(|bus| layout(bus.layout)).collect();
     // Torques come with every SYNC, and may be missing as long as it. Rounded up: the event timer counts milliseconds.
+    master.read_back_us = microseconds(config.drives.read_back_s);
     master.rpdo_timeout_ms = sync_timeout_us.div_ceil(1000).min(u32::from(u16::MAX)) as u16;
     master.rpdo_timeout_optional = may_lack(Protection::RpdoTimeout);
     master.heartbeat_ms = milliseconds(drives.heartbeat_s);

@@ -344,7 +344,7 @@ pub fn fault_status(code: u32, detail: u32, drive: Option<&str>) -> Option<Fault
     let fault = super::records::fault_of_code(code);
     let mut what = fault.map_or("a fault of another version of sinew", |f| f.what()).to_owned();
     match code {
-        10 | 20..=22 | 40 | 41 => what += &format!(" (cable {detail})"),
+        10 | 14 | 20..=24 | 40 | 41 | 63 => what += &format!(" (cable {detail})"),
         13 => what += &format!(" (bus {detail})"),
         42 | 50 => what += &format!(" ({detail})"),
         _ => {}

@@ -9,11 +9,11 @@ use super::statistics::Branch;
 use super::watch::Watch;
 use crate::config::{Config, LostAction, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Mode, ObstacleDemand, ObstaclePair, Request,
-    Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand, ObstaclePair,
+    Request, Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
-use crate::ipc::payload::{Header, PlannerBranch, SourceHealth, State, TargetMode};
+use crate::ipc::payload::{Header, PlannerBranch, RequestKind, SourceHealth, State, TargetMode};
 use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
@@ -139,6 +139,12 @@ pub(crate) struct Controller<E> {
     period_ns: u64,
     rng: Xoshiro256PlusPlus,
     auto: AutoRequests,
+    /// Since when the ordered stop has been asked for, and whether its time is over.
+    stopping_since_ns: Option<u64>,
+    stop_timeout_ns: u64,
+    gave_up: bool,
+    /// The operator's emergency stop is pressed.
+    emergency: bool,
     warning: PlannerBranch,
     torques: Vec<i16>,
     lengths: Vec<f64>,
@@ -175,11 +181,15 @@ impl<E: Estimator> Controller<E> {
             time,
             rng,
             auto,
+            emergency: false,
             limits: limits(config, time_is_lockstep),
             require_source: config.obstacles.require_source,
             stop_if_lost: config.obstacles.lost == LostAction::Stop,
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
+            stopping_since_ns: None,
+            stop_timeout_ns: (1e9 * config.timing.stop_timeout_s).round() as u64,
+            gave_up: false,
             warning: match config.planner.warning {
                 WarningBranch::Swarm => PlannerBranch::Swarm,
                 WarningBranch::StandardSwarm => PlannerBranch::StandardSwarm,
@@ -202,13 +212,17 @@ impl<E: Estimator> Controller<E> {
     pub(crate) fn tick(&mut self, time: &TickTime, stop: bool, writer: &mut CycleWriter) -> Ticked {
         let now_ns = time.now_ns;
         self.inputs.update();
-        let drives = self.drives.read();
+        let mut drives = self.drives.read();
         let demand = self.place_obstacles(now_ns);
         let valid = self.read_encoders();
         let capture_ns = self.inputs.encoders().latest().map_or(0, |m| m.header.capture_ns);
         let target = self.target(now_ns);
         let lost = self.stop_if_lost && self.inputs.obstacles().is_lost(now_ns, &self.limits.obstacles);
-        let (request, command) = self.next_request(stop || lost, &drives, demand, target.is_some_and(|t| t.fresh));
+        let (request, command) =
+            self.next_request(now_ns, stop || lost, &drives, demand, target.is_some_and(|t| t.fresh));
+        if self.emergency {
+            drives.emergency_stop = drives.emergency_stop.or(Some(Fault::SERVICE));
+        }
         let began_ns = monotonic_ns();
 
         let mut watch = Watch::new(time.budget, now_ns, began_ns);
@@ -319,6 +333,7 @@ impl<E: Estimator> Controller<E> {
     /// The request of this tick, and the command that it answers. What needs no supervisor is answered here.
     fn next_request(
         &mut self,
+        now_ns: u64,
         stop: bool,
         drives: &DrivesInput,
         demand: ObstacleDemand,
@@ -326,9 +341,15 @@ impl<E: Estimator> Controller<E> {
     ) -> (Option<Request>, Option<Command>) {
         let mode = self.cycle.mode();
         if stop {
+            let since_ns = *self.stopping_since_ns.get_or_insert(now_ns);
             let moving = !matches!(mode, Mode::Disarmed | Mode::Stopping | Mode::Faulted);
             if moving {
                 return (Some(Request::Stop), None);
+            }
+            // Nobody may be there to decide what a way that stays blocked means; the process has to end.
+            if mode == Mode::Stopping && now_ns.saturating_sub(since_ns) > self.stop_timeout_ns && !self.gave_up {
+                self.gave_up = true;
+                return (Some(Request::Disarm), None);
             }
         } else if self.auto.arm && mode == Mode::Disarmed && can_come_up(drives) {
             self.auto.arm = false;
@@ -340,6 +361,11 @@ impl<E: Estimator> Controller<E> {
         // As many as their ring holds.
         for _ in 0..16 {
             let Some(command) = self.inputs.next_command() else { break };
+            match command.kind {
+                RequestKind::EmergencyStop => self.emergency = true,
+                RequestKind::EmergencyRelease => self.emergency = false,
+                _ => {}
+            }
             match records::request_of(command.kind) {
                 // A drive that tripped while nothing was latched: there is no fault to clear but its own.
                 Some(Request::Clear) if mode == Mode::Disarmed && drives.fault.is_some() => {
@@ -379,7 +405,7 @@ impl<E: Estimator> Controller<E> {
 
 /// Whether the supervisor would not refuse to bring the drives up: what is asked for once must not be spent on a refusal.
 fn can_come_up(drives: &DrivesInput) -> bool {
-    drives.ready && drives.fault.is_none() && drives.bus_lost.is_none()
+    drives.ready && drives.fault.is_none() && drives.bus_lost.is_none() && drives.emergency_stop.is_none()
 }
 
 /// The loop's period (ns).

@@ -32,6 +32,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
     settings.observer.innovation_bound_rad = f64::INFINITY;
     settings.observer.innovation_growth_rad = f64::INFINITY;
     settings.guard.encoder_stuck_s = f64::INFINITY;
+    settings.supervision = settings.supervision.warning();
     settings.start_tensions_n.fill(settings.arm.tension_n_min);
     let observer = Observer::new(&config.arm, &settings.observer, period_s);
     let mut cycle = Cycle::new(&settings, observer);
@@ -69,7 +70,8 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
     }
 
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0);
-    let drives = DrivesInput { phase: DrivesPhase::Enabled, ready: true, fault: None, bus_lost: None };
+    let drives =
+        DrivesInput { phase: DrivesPhase::Enabled, ready: true, fault: None, bus_lost: None, emergency_stop: None };
     let mut modes = Vec::new();
     let tasks = [
         (Some(Request::Arm), None, &free),

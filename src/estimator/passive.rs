@@ -172,6 +172,12 @@ impl Observer {
         &self.beta
     }
 
+    /// `w` (N m): the observer's correction, two moments per segment. With [`Observer::disturbance_moments`] it is what acts on
+    /// the arm beside the tensions that were sent.
+    pub fn correction_moments(&self) -> &[f64] {
+        &self.w
+    }
+
     /// `z` (rad): the bend angles by which model and measurement differ, two per segment; 0 where not observable.
     pub fn innovation(&self) -> &[f64] {
         &self.z

@@ -5,7 +5,7 @@
 //! ```text
 //! minimise   |J delta - t|^2 (tip)  +  w |delta - drift|^2
 //! subject to n . J_p delta >= -(rate of the obstacle) h - alpha h (d - d_s)     every pair within reach
-//!            |delta| <= the evasion's rate x h
+//!            no point of the arm faster, and no faster sped up, than evasion permits
 //! ```
 //!
 //! at the equilibrium that it is at. The rows are a barrier (Ames et al. 2019): the share `alpha` of the distance that is
@@ -32,8 +32,15 @@ pub struct ReferenceSettings {
     pub approach_1ps: f64,
     /// Pairs farther apart than this above the clearance are not looked at (m).
     pub reach_m: f64,
-    /// Largest rate of a bend angle when it gives way (rad/s).
-    pub evasion_radps: f64,
+    /// Largest speed of any point of the arm (m/s) ...
+    pub evasion_mps: f64,
+    /// ... and change of it (m/s^2).
+    pub evasion_mps2: f64,
+    /// Speed with which it withdraws from an obstacle that is too near but does not come nearer (m/s).
+    pub withdrawal_mps: f64,
+    /// Root mean square speed of the arm's mass up to which the tip keeps its task (m/s): what an obstacle asks for beyond it
+    /// costs the task, for a posture that turns over itself to hold a tip still swings.
+    pub quiet_mps: f64,
     /// Range of the cables' tensions that a posture may need (N).
     pub tension_range_n: f64,
 }
@@ -79,6 +86,8 @@ pub struct Met {
 const LOAD_NEAR: f64 = 0.3;
 /// Share of what is left of a load that may be used up per second (1/s).
 const APPROACH_BOUND_1PS: f64 = 2.0;
+/// Time over which the speed of the arm's mass is looked at (s).
+const PACE_S: f64 = 0.2;
 /// Keeps the projection of a swing regular where curvatures move hardly any mass, over the mean of the diagonal.
 const SWING_DAMPED: f64 = 1e-3;
 /// What the mean squared displacement of the arm's mass costs, over that of the tip.
@@ -89,6 +98,22 @@ const CHANGE_SHARE: f64 = 0.04;
 const PAIRS_MAX: usize = 128;
 /// Faster growth is a jump, of which the barrier takes its share (m/s).
 const GROWTH_MAX_MPS: f64 = 0.5;
+/// Share of the distance above the clearance that a ball which is dodged may use up per second (1/s) ...
+const CLOSING_1PS: f64 = 3.0;
+/// ... once its way in this time is taken off (s): until the arm has answered.
+const REACTION_S: f64 = 0.2;
+/// Largest rate of a bend angle where there is nothing to give way to (rad/s).
+const FREE_RADPS: f64 = 1.5;
+/// By how much an obstacle's speed raises that of giving way.
+const URGENCY: f64 = 3.0;
+/// Balls slower than this share of the withdrawal's speed are given way to as they come.
+const DODGE_SLOWEST: f64 = 0.5;
+/// A ball that meets the body within this time is given way to aside (s) ...
+const DODGE_S: f64 = 2.5;
+/// ... by the clearance and its way in this time (s).
+const DODGE_MARGIN_S: f64 = 0.2;
+/// Obstacles are looked for as far away as one of this speed needs (m/s).
+const FAST_MPS: f64 = 1.0;
 /// A pair that bends of this much cannot bring to the clearance (rad) is only kept from getting nearer.
 const HOPELESS_RAD: f64 = 1.5;
 
@@ -114,8 +139,12 @@ pub struct Reference {
     d: Vec<f64>,
     price: Vec<f64>,
     sensitivity: Vec<f64>,
+    /// Derivatives of the segments' ends by the curvatures, three rows for each (m per 1/m).
+    ends: Vec<f64>,
     delta: Vec<f64>,
     next: Vec<f64>,
+    /// Root mean square speed of the arm's mass, lately, while obstacles or loads hold it back (m/s).
+    pace_mps: f64,
     /// Mass of the arm (kg), and its distribution over the curvatures (kg m^4).
     mass: f64,
     inertia: Vec<f64>,
@@ -144,8 +173,10 @@ impl Reference {
             d: vec![0.0; PAIRS_MAX + count],
             price: vec![0.0; PAIRS_MAX + count],
             sensitivity: vec![0.0; count],
+            ends: vec![0.0; 3 * arm.segment_count() * count],
             delta: vec![0.0; count],
             next: vec![0.0; count],
+            pace_mps: 0.0,
             mass: arm.nodes.iter().map(|node| node.mass).sum(),
             inertia: vec![0.0; count * count],
         }
@@ -175,6 +206,13 @@ impl Reference {
         self.rest.linearize(u)?;
         let count = swing.len();
         self.rest.swing_into(q, kappa, &mut self.inertia, swing, &mut self.sensitivity);
+        for (segment, range) in self.rest.arm().segment_elements.iter().enumerate() {
+            for x in 0..3 {
+                self.rest.coordinate_into(COORDINATES * (range.end - 1) + x, &mut self.sensitivity);
+                let at = (3 * segment + x) * count;
+                self.ends[at..at + count].copy_from_slice(&self.sensitivity);
+            }
+        }
         self.a.copy_from_slice(&self.inertia);
         let trace: f64 = (0..count).map(|i| self.inertia[i * count + i]).sum();
         for i in 0..count {
@@ -195,15 +233,22 @@ impl Reference {
             let w = wanted.drift_weight * self.length[i] * self.length[i];
             self.a[i * count + i] = w;
             self.b[i] = -w * wanted.drift[i];
-            let most = self.settings.evasion_radps * h / self.length[i];
-            (self.low[i], self.high[i]) = (-most, most);
+        }
+        let threat_mps = around.map_or(0.0, |around| self.threat(h, around));
+        if around.is_some_and(|around| !around.ahead.is_empty()) {
+            self.bound_motion(h);
+        } else {
+            for (i, length) in self.length.iter().enumerate() {
+                (self.low[i], self.high[i]) = (-FREE_RADPS * h / length, FREE_RADPS * h / length);
+            }
         }
         if wanted.tip.is_some() {
             // Of all ways to move the tip the one that moves least mass, and changes its motion least.
+            let motion = MOTION_SHARE * (self.pace_mps / self.settings.quiet_mps).max(1.0).powi(4);
             for i in 0..count {
                 for j in 0..count {
                     let m = self.inertia[i * count + j] / self.mass;
-                    self.a[i * count + j] += (MOTION_SHARE + CHANGE_SHARE) * m;
+                    self.a[i * count + j] += (motion + CHANGE_SHARE) * m;
                     self.b[i] -= CHANGE_SHARE * m * self.delta[j];
                 }
             }
@@ -248,11 +293,98 @@ impl Reference {
             met.held_back |= multiplier > 0.0;
             met.given_up += usize::from(multiplier >= hard * (1.0 - 1e-9));
         }
+        // Each bend by itself keeps to the limit; together they may not. Where nothing comes nearer there is no hurry.
+        let evasion_mps = self.settings.evasion_mps;
+        let unhurried = (self.settings.withdrawal_mps + URGENCY * threat_mps).min(evasion_mps);
+        let most_mps = if met.held_back && rows > 0 { unhurried } else { evasion_mps };
+        let fastest = self.farthest(&self.delta) / h;
+        if fastest > most_mps {
+            self.delta.iter_mut().for_each(|d| *d *= most_mps / fastest);
+        }
+        let mut energy = 0.0;
         for i in 0..count {
             self.next[i] = self.rest.curvatures()[i] + self.delta[i];
+            energy += (0..count).map(|j| self.delta[i] * self.inertia[i * count + j] * self.delta[j]).sum::<f64>();
         }
+        // What the task itself asks for is no hurry.
+        let pace_mps = if met.held_back { (energy.max(0.0) / self.mass).sqrt() / h } else { 0.0 };
+        self.pace_mps += (h / PACE_S).min(1.0) * (pace_mps - self.pace_mps);
         self.rest.advance(&self.next);
         met
+    }
+
+    /// Writes how the body point of a pair moves along `direction` with the curvatures to row `at`; returns how far the last
+    /// linearisation still moves it that way (m).
+    fn point_row(&mut self, row: &Proximity, direction: &Vector3<f64>, at: usize) -> f64 {
+        let count = self.delta.len();
+        let c = &mut self.c[at * count..(at + 1) * count];
+        c.fill(0.0);
+        let mut moved = 0.0;
+        let (n, w, i) = (direction, row.point.weights, row.point.element);
+        for (side, node) in [i, i + 1].into_iter().enumerate() {
+            // The base does not move.
+            if node == 0 {
+                continue;
+            }
+            let tangent = rotation_jacobians(&self.rest.arm().pose(&self.rest.state().q, node).1)[0];
+            for k in 0..COORDINATES {
+                let f = if k < 3 {
+                    n[k] * w[2 * side]
+                } else {
+                    (0..3).map(|x| n[x] * tangent[(x, k - 3)]).sum::<f64>() * w[2 * side + 1]
+                };
+                let shift = self.rest.coordinate_into(COORDINATES * (node - 1) + k, &mut self.sensitivity);
+                moved += f * shift;
+                c.iter_mut().zip(&self.sensitivity).for_each(|(c, s)| *c += f * s);
+            }
+        }
+        let (kappa, origin) = (self.rest.curvatures(), self.rest.origin());
+        moved + c.iter().zip(kappa.iter().zip(origin)).map(|(c, (k, o))| c * (k - o)).sum::<f64>()
+    }
+
+    /// The least that row `at` can be within the step's box.
+    fn least(&self, at: usize) -> f64 {
+        let count = self.delta.len();
+        let c = &self.c[at * count..(at + 1) * count];
+        let within = self.low.iter().zip(&self.high);
+        self.d[at] + c.iter().zip(within).map(|(c, (l, u))| (c * l).min(c * u)).sum::<f64>()
+    }
+
+    /// Box of the change: what every bend by itself may do so that no segment's end exceeds the limits of giving way.
+    fn bound_motion(&mut self, h: f64) {
+        let s = self.settings;
+        for (i, length) in self.length.iter().enumerate() {
+            let moves = self.moves(i).max(0.1 * length * length);
+            let (most, change) = (s.evasion_mps * h / moves, s.evasion_mps2 * h * h / moves);
+            let before = self.delta[i].clamp(-most, most);
+            (self.low[i], self.high[i]) = ((before - change).max(-most), (before + change).min(most));
+        }
+    }
+
+    /// Speed of the fastest obstacle, or with which one grows (m/s): from what stands still nobody has to hurry away.
+    fn threat(&self, h: f64, around: &Surroundings<'_>) -> f64 {
+        let grown = |k: usize, now: &Obstacle| self.growth.get(k).map_or(0.0, |before| (now.growth() - before) / h);
+        let sets = around.now.as_slice().iter().zip(around.ahead.as_slice()).enumerate();
+        sets.map(|(k, (now, ahead))| {
+            (ahead.position() - now.position()).norm() / around.span_s + grown(k, now).clamp(0.0, GROWTH_MAX_MPS)
+        })
+        .fold(0.0, f64::max)
+    }
+
+    /// How far a mean curvature moves the segment's end that it moves most (m per 1/m).
+    fn moves(&self, curvature: usize) -> f64 {
+        let ends = self.ends.chunks_exact(3 * self.delta.len());
+        ends.map(|end| (0..3).map(|x| end[x * self.delta.len() + curvature].powi(2)).sum::<f64>().sqrt())
+            .fold(0.0, f64::max)
+    }
+
+    /// How far a change of the mean curvatures (1/m) moves the segment's end that it moves most (m), by the last
+    /// linearisation.
+    pub fn farthest(&self, change: &[f64]) -> f64 {
+        let count = self.delta.len();
+        let along = |row: &[f64]| row.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
+        let ends = self.ends.chunks_exact(3 * count);
+        ends.map(|end| end.chunks_exact(count).map(|row| along(row).powi(2)).sum::<f64>().sqrt()).fold(0.0, f64::max)
     }
 
     /// Adds rows that keep the cables' tensions inside their box; how many rows there are then. A posture beyond it would
@@ -280,7 +412,12 @@ impl Reference {
         let s = self.settings;
         let q = &self.rest.state().q;
         self.rest.arm().frames_into(q, &mut self.positions, &mut self.tangents);
-        let found = self.body.find(&self.positions, &self.tangents, around.ahead, s.clearance_m + s.reach_m);
+        // A barrier that sees an obstacle when it begins to bind gives way to it smoothly, however fast it is.
+        let moved = around.now.as_slice().iter().zip(around.ahead.as_slice());
+        let fastest = moved.map(|(now, ahead)| (ahead.position() - now.position()).norm()).fold(0.0, f64::max);
+        let speed = (fastest / around.span_s).min(FAST_MPS);
+        let reach = s.reach_m.max(speed / s.approach_1ps);
+        let found = self.body.find(&self.positions, &self.tangents, around.ahead, s.clearance_m + reach);
         met.distance_min = found.minimum;
         self.rows.clear();
         self.rows.extend_from_slice(&found.rows[..found.rows.len().min(PAIRS_MAX)]);
@@ -289,54 +426,108 @@ impl Reference {
         let known = self.growth.len().min(around.now.len());
         self.growth.truncate(known);
         self.growth.extend(around.now.as_slice()[known..].iter().map(Obstacle::growth));
-        for row in &self.rows {
+        for k in 0..self.rows.len() {
+            let row = self.rows[k];
             let now = &around.now.as_slice()[row.obstacle];
             // What the obstacle takes of the distance by its own motion (m/s).
             let before = now.distance(&row.position).0 - row.inflation;
             let growing = (now.growth() - self.growth[row.obstacle]).max(0.0) / h;
-            let obstacle_rate = (row.distance - before) / around.span_s - growing.min(GROWTH_MAX_MPS);
-            let distance = row.distance + obstacle_rate.min(0.0) * around.beyond_s;
-            let c = &mut self.c[kept * count..(kept + 1) * count];
-            c.fill(0.0);
-            let mut moved = 0.0;
-            let (n, w, i) = (row.normal, row.point.weights, row.point.element);
-            for (side, node) in [i, i + 1].into_iter().enumerate() {
-                // The base does not move.
-                if node == 0 {
-                    continue;
-                }
-                let tangent = rotation_jacobians(&self.rest.arm().pose(q, node).1)[0];
-                for k in 0..COORDINATES {
-                    let f = if k < 3 {
-                        n[k] * w[2 * side]
-                    } else {
-                        (0..3).map(|x| n[x] * tangent[(x, k - 3)]).sum::<f64>() * w[2 * side + 1]
-                    };
-                    let shift = self.rest.coordinate_into(COORDINATES * (node - 1) + k, &mut self.sensitivity);
-                    moved += f * shift;
-                    c.iter_mut().zip(&self.sensitivity).for_each(|(c, s)| *c += f * s);
+            let closing = (before - row.distance) / around.span_s + growing.min(GROWTH_MAX_MPS);
+            let closing = closing.max(0.0);
+            let margin = row.distance - closing * around.beyond_s - s.clearance_m;
+            let ball = ball(&row, around).filter(|b| b.velocity.norm() > DODGE_SLOWEST * s.withdrawal_mps);
+            if kept < PAIRS_MAX
+                && let Some(ball) = &ball
+                && let Some((direction, speed)) = dodge(&row, ball, &self.positions, s.clearance_m)
+            {
+                self.point_row(&row, &direction, kept);
+                self.d[kept] = -h * speed;
+                if self.least(kept) < 0.0 {
+                    kept += 1;
                 }
             }
-            let (kappa, origin) = (self.rest.curvatures(), self.rest.origin());
-            moved += c.iter().zip(kappa.iter().zip(origin)).map(|(c, (k, o))| c * (k - o)).sum::<f64>();
-            let margin = distance - s.clearance_m;
-            let mut d = moved + obstacle_rate.min(0.0) * h + s.approach_1ps * h * margin;
+            if kept == PAIRS_MAX {
+                break;
+            }
+            let moved = self.point_row(&row, &row.normal, kept);
+            // The arm's own way towards it, or what it takes by coming nearer: whichever is the more.
+            let own = (s.approach_1ps * margin).max(-s.withdrawal_mps);
+            let theirs = match ball {
+                Some(_) => CLOSING_1PS * (margin - REACTION_S * closing).max(0.0),
+                None => s.approach_1ps * margin.max(0.0),
+            } - closing;
+            self.d[kept] = moved + h * own.min(theirs);
             // In the step's box the least; in bends of HOPELESS_RAD the most.
-            let least: f64 = d - c.iter().zip(&self.high).map(|(c, high)| c.abs() * high).sum::<f64>();
-            if least > 0.0 {
+            if self.least(kept) > 0.0 {
                 continue;
             }
+            let c = &self.c[kept * count..(kept + 1) * count];
             let most: f64 = margin + c.iter().zip(&self.length).map(|(c, l)| c.abs() * HOPELESS_RAD / l).sum::<f64>();
             if most < 0.0 {
-                d = d.max(0.0);
+                self.d[kept] = self.d[kept].max(0.0);
             }
-            self.d[kept] = d;
             kept += 1;
         }
         self.growth.clear();
         self.growth.extend(around.now.as_slice().iter().map(Obstacle::growth));
         kept
     }
+}
+
+/// A ball that moves.
+struct Ball {
+    /// Centre (m, base frame).
+    center: Vector3<f64>,
+    /// Radius (m).
+    radius: f64,
+    /// Velocity (m/s, base frame).
+    velocity: Vector3<f64>,
+}
+
+/// The ball of a pair, if its obstacle is one.
+fn ball(row: &Proximity, around: &Surroundings<'_>) -> Option<Ball> {
+    let (center, radius) = around.ahead.ball(row)?;
+    let before = around.now.as_slice()[row.obstacle].position();
+    Some(Ball { center, radius, velocity: (center - before) / around.span_s })
+}
+
+/// Which way a point of the body leaves the way of a ball that flies at it, and how fast it must (m/s); `None` where it does
+/// not fly at it, or has time.
+///
+/// To run before a ball ends where the arm ends; to step aside costs a fraction of its speed. Of the velocities that meet
+/// the ball within [`DODGE_S`] (the velocity obstacle of Fiorini and Shiller 1998) the nearest edge decides, across the
+/// arm: along itself it cannot leave.
+fn dodge(row: &Proximity, ball: &Ball, positions: &[Vector3<f64>], clearance_m: f64) -> Option<(Vector3<f64>, f64)> {
+    let Ball { center, radius, velocity } = *ball;
+    let wide = radius + row.inflation + clearance_m + DODGE_MARGIN_S * velocity.norm();
+    // Whether it meets this very point ...
+    let away = row.position - center;
+    let approach = velocity.dot(&away);
+    if approach <= 0.0 || away.norm() <= wide {
+        return None;
+    }
+    let miss = (away - velocity * (approach / velocity.norm_squared())).norm();
+    let left_s = (away.norm() - wide) * away.norm() / approach;
+    if miss > wide || left_s > DODGE_S {
+        return None;
+    }
+    // ... and how it is left across the arm.
+    let tangent = (positions[row.point.element + 1] - positions[row.point.element]).normalize();
+    let across = |v: Vector3<f64>| v - v.dot(&tangent) * tangent;
+    let (away, velocity) = (across(away), across(velocity));
+    let distance = away.norm();
+    if distance <= wide {
+        return None;
+    }
+    let normal = away / distance;
+    let towards = velocity.dot(&normal);
+    let lateral = velocity - towards * normal;
+    let side = if lateral.norm() > 1e-3 * velocity.norm() { lateral.normalize() } else { tangent.cross(&normal) };
+    let sine = wide / distance;
+    let cosine = (1.0 - sine * sine).sqrt();
+    let speed = towards * sine - velocity.dot(&side) * cosine;
+    let share = (2.0 * (DODGE_S - left_s) / DODGE_S).min(1.0);
+    (speed > 0.0).then_some((normal * sine - side * cosine, share * speed))
 }
 
 /// Length of the segment of each mean curvature (m).

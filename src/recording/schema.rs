@@ -162,6 +162,8 @@ impl Fields for State {
         sink.u64("records_dropped", self.records_dropped);
         sink.u64("stale_sources", self.stale_sources);
         sink.message("timing", &self.timing);
+        sink.u64("limits", self.limits);
+        sink.f64("swing_m", self.swing_m);
     }
 }
 

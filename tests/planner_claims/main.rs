@@ -100,7 +100,15 @@ impl Bench {
 }
 
 fn inputs<'a>(bench: &'a Bench, goal: Goal<'a>, obstacles: &'a ObstacleSet) -> Inputs<'a> {
-    Inputs { state: &bench.state, u_previous: &bench.u, disturbance: &[], goal, now: obstacles, ahead: obstacles }
+    Inputs {
+        state: &bench.state,
+        u_previous: &bench.u,
+        disturbance: &[],
+        led_to: None,
+        goal,
+        now: obstacles,
+        ahead: obstacles,
+    }
 }
 
 fn run(planner: &mut Planner, inputs: &Inputs<'_>, seed: u64) -> Report {

@@ -42,7 +42,16 @@ pub fn settings() -> Settings {
         ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
     // Fast: what these tests look at takes a second or two.
     let governor = GovernorConfig { speed_mps: 0.5, acceleration_mps2: 1.0, bend_rate_radps: 1.5, ..config.governor };
-    Settings::from_parts(config.arm, config.timing, planner, config.weights, observer, governor, config.guard)
+    Settings::from_parts(
+        config.arm,
+        config.timing,
+        planner,
+        config.weights,
+        observer,
+        governor,
+        config.guard,
+        config.supervision,
+    )
 }
 
 /// The same with a pretension: the safe value is not zero.
@@ -219,7 +228,13 @@ impl<P: Plan> Rig<P> {
             obstacles: ObstaclePair::new(),
             tick: 0,
             rng: Xoshiro256PlusPlus::seed_from_u64(seed),
-            drives: DrivesInput { phase: DrivesPhase::Off, ready: true, fault: None, bus_lost: None },
+            drives: DrivesInput {
+                phase: DrivesPhase::Off,
+                ready: true,
+                fault: None,
+                bus_lost: None,
+                emergency_stop: None,
+            },
             target: None,
             demand: ObstacleDemand::Proceed,
             missed: 0,

@@ -106,6 +106,7 @@ impl PlanCase {
             state: &self.state,
             u_previous: &self.u_previous,
             disturbance: &[],
+            led_to: None,
             goal: self.goal,
             now: &self.obstacles,
             ahead: &self.obstacles,

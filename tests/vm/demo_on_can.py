@@ -167,7 +167,11 @@ def main():
     print(f"Linux {os.uname().release}, {len(interfaces)} bus(es): {', '.join(interfaces)}", flush=True)
 
     with tempfile.TemporaryDirectory() as folder:
-        changes = {"controller.toml": {"period_s": PERIOD_S}, "plant.toml": {"step_s": PERIOD_S}}
+        # Lowering the arm would take minutes here, and shows nothing about the bus.
+        changes = {
+            "controller.toml": {"period_s": PERIOD_S, "stop_timeout_s": 0.0},
+            "plant.toml": {"step_s": PERIOD_S},
+        }
         config = arm.configuration(folder, drives_file(len(interfaces), arguments.packed), changes)
         keep = os.path.join(folder, "kept")
         log = os.path.join(folder, "candump.log")

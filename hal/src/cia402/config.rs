@@ -113,6 +113,8 @@ pub struct MasterConfig {
     pub sdo_timeout_ms: u32,
     /// Repetitions of a transfer after a time-out.
     pub sdo_retries: u32,
+    /// Time between two objects that are read back in operation (us); 0: none are.
+    pub read_back_us: u32,
     /// Time granted from reset to boot-up (ms).
     pub boot_timeout_ms: u32,
     /// Time granted to each transition of the NMT and power state machines (ms).
@@ -127,7 +129,7 @@ pub struct MasterConfig {
 
 impl MasterConfig {
     /// Defaults for the drives given: heartbeats of 50 ms with time-outs of 200 ms (four may be missed in a row but
-    /// not five), SDO 100 ms twice repeated, boot-up 5 s, transitions 1 s. RPDOs are not monitored, for how long they may
+    /// not five), SDO 100 ms twice repeated, nothing read back, boot-up 5 s, transitions 1 s. RPDOs are not monitored, for how long they may
     /// be missing depends on who sends them.
     pub fn new(drives: Vec<DriveSetup>, node: NodeId, cycle_us: u32) -> Self {
         Self {
@@ -143,6 +145,7 @@ impl MasterConfig {
             cycle_us,
             sdo_timeout_ms: 100,
             sdo_retries: 2,
+            read_back_us: 0,
             boot_timeout_ms: 5000,
             transition_timeout_ms: 1000,
             order_of_start: Order::Parallel,

@@ -28,6 +28,18 @@ pub enum Fault {
         /// Bits compared.
         mask: u32,
     },
+    /// An object no longer holds what was written at the start.
+    #[error("object {index:04X}:{sub:02X} was {expected:#x} and is {found:#x}: another node has written to the drive")]
+    Changed {
+        /// Index.
+        index: u16,
+        /// Sub-index.
+        sub: u8,
+        /// Value written.
+        expected: u32,
+        /// Value found.
+        found: u32,
+    },
     /// A value of another length than the object should have.
     #[error("object {index:04X}:{sub:02X} has {found} bytes, expected {expected}")]
     Length {

@@ -5,7 +5,7 @@
 //! the cyclic part ([`CycleWriter`], [`Decoder`]), never allocate.
 //!
 //! * [`state`]: the power drive state machine; [`objects`]: indices and the two PDOs;
-//! * [`config`]: drives and times; [`script`]: the SDO script of one drive; [`master`]: many drives through boot-up,
+//! * [`config`]: drives and times; [`script`]: the SDO script of one drive, `read_back`: whether it still holds; [`master`]: many drives through boot-up,
 //!   configuration, enabling, disabling, fault reset, and their supervision; [`fault`]: everything that can go wrong;
 //! * [`layout`]: which frames carry the cyclic traffic, in classic CAN and in CAN FD;
 //! * [`cyclic`]: torques out and feedback in, for the control thread and the receive thread;
@@ -18,6 +18,7 @@ pub mod fault;
 pub mod layout;
 pub mod master;
 pub mod objects;
+mod read_back;
 pub mod script;
 pub mod state;
 

@@ -5,6 +5,7 @@
 
 mod follow;
 mod poses;
+mod thrown;
 
 use clap::{Parser, Subcommand};
 use sim_plant::truth::TruthSettings;
@@ -77,6 +78,29 @@ enum What {
         /// Length of the run (s), in place of the scenario's.
         #[arg(long)]
         duration: Option<f64>,
+        /// Stop at a seeded instant, and watch the arm until it is disarmed.
+        #[arg(long)]
+        stop: bool,
+        /// A line per tick on this file.
+        #[arg(long)]
+        trace: Option<PathBuf>,
+    },
+    /// Balls at an arm that holds.
+    Thrown {
+        /// What they do.
+        way: thrown::Way,
+        /// Radius (m).
+        #[arg(long, default_value_t = 0.1)]
+        radius: f64,
+        /// Speed (m/s) of one that flies, distance (m) of one that appears beside the arm.
+        #[arg(long, default_value_t = 0.03)]
+        amount: f64,
+        /// Hold the posture, not the tip.
+        #[arg(long)]
+        posture: bool,
+        /// From the straight arm, not the paper's start.
+        #[arg(long)]
+        straight: bool,
         /// A line per tick on this file.
         #[arg(long)]
         trace: Option<PathBuf>,
@@ -125,6 +149,10 @@ impl Args {
                 "eta" => config.planner.lookahead_s = value,
                 "its" => config.planner.newton_iterations_max = value as usize,
                 "w" => config.weights.tip.tension_change.iter_mut().for_each(|w| *w *= value),
+                "evasion" => config.governor.evasion_mps = value,
+                "evasion2" => config.governor.evasion_mps2 = value,
+                "approach" => config.governor.approach_1ps = value,
+                "swing" => config.governor.swing_damping_1ps = value,
                 "mesh" => truth.mesh_refinement = value as usize,
                 "ei" => truth.stiffness_factor = value,
                 "te" => truth.tension_error_max = value,
@@ -147,7 +175,13 @@ fn main() {
         What::Poses { watch, shapes, chain, pose, trace } => {
             poses::run(&args, *watch, *shapes, *chain, pose, trace.as_deref());
         }
-        What::Follow { scenario, duration, trace } => follow::run(&args, scenario, *duration, trace.as_deref()),
+        What::Thrown { way, radius, amount, posture, straight, trace } => {
+            let (way, radius, amount, posture, straight) = (*way, *radius, *amount, *posture, *straight);
+            thrown::run(&args, &thrown::Thrown { way, radius, amount, posture, straight, trace: trace.clone() });
+        }
+        What::Follow { scenario, duration, stop, trace } => {
+            follow::run(&args, scenario, *duration, *stop, trace.as_deref());
+        }
     }
 }
 

@@ -235,6 +235,7 @@ pub fn run(settings: &Settings, case: Case, seed: u64) -> Outcome {
                 state: observer.predicted(),
                 u_previous: &u,
                 disturbance: observer.disturbance(),
+                led_to: None,
                 goal: scenario.goal(if case == Case::Half { 100.0 } else { target }),
                 now: &now,
                 ahead: &ahead,

@@ -145,7 +145,10 @@ impl Children {
             let Some(place) = self.running.iter().position(|r| r.name == name) else { continue };
             let mut running = self.running.remove(place);
             let ended_before = running.child.try_wait().into_diagnostic()?.is_some();
-            if !ended_before && let Err(trouble) = stop(&mut running) {
+            // The daemon lowers the arm first.
+            let lowering_s = if name == DAEMON { setup.config.timing.stop_timeout_s } else { 0.0 };
+            let patience = STOP + Duration::from_secs_f64(lowering_s);
+            if !ended_before && let Err(trouble) = stop(&mut running, patience) {
                 unclean.push(format!("{name}: {trouble}"));
             }
         }
@@ -156,9 +159,9 @@ impl Children {
     }
 }
 
-fn stop(running: &mut Running) -> Result<(), String> {
+fn stop(running: &mut Running, patience: Duration) -> Result<(), String> {
     kill_process(Pid::from_child(&running.child), Signal::TERM).map_err(|e| e.to_string())?;
-    let deadline = Instant::now() + STOP;
+    let deadline = Instant::now() + patience;
     while Instant::now() < deadline {
         if running.child.try_wait().map_err(|e| e.to_string())?.is_some() {
             return Ok(());
@@ -167,7 +170,7 @@ fn stop(running: &mut Running) -> Result<(), String> {
     }
     running.child.kill().map_err(|e| e.to_string())?;
     running.child.wait().map_err(|e| e.to_string())?;
-    Err(format!("did not stop within {} s and was killed", STOP.as_secs()))
+    Err(format!("did not stop within {} s and was killed", patience.as_secs()))
 }
 
 impl Drop for Children {

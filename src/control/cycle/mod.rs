@@ -4,8 +4,11 @@
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
 mod elapsed;
+mod motion;
 mod plan;
+mod postures;
 mod report;
+mod supervise;
 
 use super::budget::{Phase, StopWatch};
 use super::estimator::{Estimate, Estimator};
@@ -17,6 +20,7 @@ use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::Record;
 use super::settings::{Settings, seconds_to_ns};
+use super::supervision::Supervision;
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
@@ -26,8 +30,10 @@ use crate::collision::{Body, BodyGeometry};
 use crate::model::{Arm, State};
 use crate::planner::{Deadline, Inputs, Planner, Report, prediction};
 use elapsed::Elapsed;
+use motion::MotionWatch;
 use nalgebra::Vector3;
 use plan::Wanted;
+use postures::Postures;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// What the cycle needs of a planner, so that a test can put a broken one in its place.
@@ -105,6 +111,7 @@ pub struct Cycle<E, P = Planner> {
     encoders: EncoderGuard,
     tensions: TensionGuard,
     friction: FrictionCompensation,
+    supervision: Supervision,
     ramp: Ramp,
     body: Body,
     period_ns: u64,
@@ -114,6 +121,8 @@ pub struct Cycle<E, P = Planner> {
 
     observing: bool,
     estimate: Estimate,
+    postures: Postures,
+    motion: MotionWatch,
     governor: Governor,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
@@ -169,6 +178,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             encoders: EncoderGuard::new(&settings.guard, cables, settings.timing.period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
             friction: FrictionCompensation::new(&settings.friction, &arm, period_s),
+            supervision: Supervision::new(
+                &arm,
+                &settings.arm,
+                &settings.supervision,
+                settings.observer.latency_ticks,
+                ((latency_s + planning.lookahead_s + lag_s) / period_s).round() as usize,
+            ),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planning.body, planning.body_radius_m, 1),
@@ -178,6 +194,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             lead_s: latency_s + planning.lookahead_s + lag_s,
             observing: false,
             estimate: Estimate::default(),
+            postures: Postures::new(settings, &arm),
+            motion: MotionWatch::new(settings.arm.length_m(), cables),
             governor: Governor::new(&arm, &settings.arm, &settings.governor, planning),
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
@@ -236,6 +254,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         &self.estimator
     }
 
+    /// The supervision of motion, tensions and cables.
+    pub const fn supervision(&self) -> &Supervision {
+        &self.supervision
+    }
+
     /// The governor.
     pub const fn governor(&self) -> &Governor {
         &self.governor
@@ -266,10 +289,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         }
         deadline.mark(Phase::Estimate);
 
-        let before = self.supervisor.mode();
-        let seen = self.observed(inputs, faults, progress);
+        let before = (self.supervisor.mode(), self.supervisor.is_planning());
+        self.measure_curvatures();
+        let verdict = self.supervise(inputs, periods, &mut faults);
+        limits.0 |= verdict.limits.0;
+        let seen = self.observed(inputs, faults, progress, verdict.hold);
         let decision = self.supervisor.step(&seen);
-        self.on_mode_change(before);
+        self.on_change(before);
         limits.0 |= decision.limits.0;
         let plan = self.propose(inputs, &decision, &mut limits, rng, deadline);
         deadline.mark(Phase::Plan);
@@ -327,7 +353,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
-                    if self.supervisor.mode() != Mode::Starting {
+                    if self.supervisor.mode() != Mode::Starting || self.supervisor.is_planning() {
                         let (z, growth) = (estimate.innovation_max_rad, estimate.innovation_growth_rad);
                         if !z.is_finite() {
                             faults.push(Fault::EstimateLost);
@@ -346,10 +372,21 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         if self.supervisor.mode() != Mode::Starting || !torque {
             return Progress::Drives;
         }
-        if self.sent != self.settings.start_tensions_n {
-            return Progress::Tensions;
+        if self.supervisor.is_planning() {
+            let arrived = self.governor.has_arrived(self.postures.start()) || self.governor.is_stuck();
+            return if arrived { Progress::Done } else { Progress::Posture };
         }
-        if let (false, Some((cable, age_s))) = (self.observing, self.encoders.silent(inputs.now_ns)) {
+        let silent = if self.observing { None } else { self.encoders.silent(inputs.now_ns) };
+        if silent.is_none() {
+            self.postures.choose(self.encoders.lengths_m());
+        }
+        if self.postures.tensions_n().is_none_or(|start| self.sent != start) {
+            return match silent {
+                Some((cable, age_s)) if self.postures.tensions_n().is_none() => Progress::Encoder(cable, age_s),
+                _ => Progress::Tensions,
+            };
+        }
+        if let Some((cable, age_s)) = silent {
             return Progress::Encoder(cable, age_s);
         }
         if !self.observing {
@@ -363,10 +400,14 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             }
             return Progress::Settling;
         }
-        if self.estimate.settled { Progress::Done } else { Progress::Settling }
+        match self.estimate.settled {
+            false => Progress::Settling,
+            true if self.postures.is_to_raise() => Progress::Posture,
+            true => Progress::Done,
+        }
     }
 
-    fn observed(&mut self, inputs: &TickInputs<'_>, faults: FaultList, progress: Progress) -> Observed {
+    fn measure_curvatures(&mut self) {
         let state = self.estimator.state();
         let count = 2 * self.arm.segment_count();
         self.arm.curvatures_into(
@@ -375,6 +416,19 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             &mut self.curvatures[..count],
             &mut self.curvature_rates[..count],
         );
+    }
+
+    fn observed(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        faults: FaultList,
+        progress: Progress,
+        hold: Option<Limit>,
+    ) -> Observed {
+        let count = 2 * self.arm.segment_count();
+        let state = self.estimator.state();
+        let tip_speed_mps = if self.observing { self.arm.tip(&state.q, &state.qd).velocity.norm() } else { f64::NAN };
+        let moves = self.motion.moves(inputs.now_ns, tip_speed_mps, self.encoders.lengths_m());
         let home = &self.settings.home_curvatures_1pm;
         let tolerance = self.settings.home_tolerance_1pm;
         Observed {
@@ -386,28 +440,32 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             progress,
             target_fresh: inputs.target.is_some_and(|target| target.fresh),
             obstacles: inputs.demand,
+            hold,
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
             at_home: self.curvatures[..count].iter().zip(home).all(|(k, home)| (k - home).abs() <= tolerance),
+            lowered: self.governor.has_arrived(self.postures.rest()),
+            moves,
             missed: inputs.missed,
         }
     }
 
-    /// What a change of mode does to the cycle's own state.
-    fn on_mode_change(&mut self, before: Mode) {
-        let mode = self.supervisor.mode();
-        if mode == before {
+    /// What a change of mode, or the beginning or end of planning, does to the cycle's own state.
+    fn on_change(&mut self, (mode_before, planned_before): (Mode, bool)) {
+        let (mode, plans) = (self.supervisor.mode(), self.supervisor.is_planning());
+        if plans && !planned_before {
+            let state = self.estimator.predicted();
+            let count = 2 * self.arm.segment_count();
+            self.governor.restart(&state.q, &state.lambda, &self.curvatures[..count]);
+            self.supervision.restart();
+        }
+        if mode == mode_before {
             return;
         }
         self.ramp.end();
         self.singular_in_row = 0;
-        match mode {
-            Mode::Disarmed | Mode::Starting => self.observing = false,
-            _ if mode.is_planning() && !before.is_planning() => {
-                let state = self.estimator.predicted();
-                let count = 2 * self.arm.segment_count();
-                self.governor.restart(&state.q, &state.lambda, &self.curvatures[..count]);
-            }
-            _ => {}
+        if mode == Mode::Starting {
+            self.observing = false;
+            self.postures.forget();
         }
     }
 
@@ -440,21 +498,22 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 return None;
             }
             Action::Tighten => {
-                if inputs.drives.phase == DrivesPhase::Enabled {
-                    self.ramp.begin(&self.commanded, begin_ns);
-                    self.ramp.tensions_into(&self.settings.start_tensions_n, inputs.now_ns, &mut self.proposed);
-                } else {
-                    self.ramp.end();
-                    self.proposed.fill(0.0);
+                match self.postures.tensions_n() {
+                    Some(start) if inputs.drives.phase == DrivesPhase::Enabled => {
+                        self.ramp.begin(&self.commanded, begin_ns);
+                        self.ramp.tensions_into(start, inputs.now_ns, &mut self.proposed);
+                    }
+                    _ => {
+                        self.ramp.end();
+                        self.proposed.fill(0.0);
+                    }
                 }
                 return None;
             }
+            Action::Raise => Wanted::shape(self.postures.start()),
+            Action::Lower => Wanted::shape(self.postures.rest()),
             Action::Hold => Wanted::Rest,
-            Action::Home => {
-                let mut curvatures = [0.0; CURVATURES_MAX];
-                curvatures.iter_mut().zip(&self.settings.home_curvatures_1pm).for_each(|(k, home)| *k = *home);
-                Wanted::Shape { curvatures }
-            }
+            Action::Home => Wanted::shape(&self.settings.home_curvatures_1pm),
             Action::Track => match self.wanted(inputs) {
                 Some(wanted) => wanted,
                 // The supervisor tracks only with a target; without one, keeping what acts is the harmless answer.
@@ -479,7 +538,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         // The box holds once the cables are tight; before that, and where a start was cut short, it begins at zero.
         let tight = self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent >= safe);
         let floor = if tight && decision.action != Action::Tighten { Floor::Box } else { Floor::Zero };
-        if !matches!(decision.action, Action::Hold | Action::Home | Action::Track) {
+        if !decision.action.plans() {
             self.friction.rest();
         }
         let verdict = self.send(floor);

@@ -26,6 +26,15 @@ pub(super) enum Wanted {
     Rest,
 }
 
+impl Wanted {
+    /// A shape of these mean curvatures (1/m).
+    pub(super) fn shape(curvatures_1pm: &[f64]) -> Self {
+        let mut curvatures = [0.0; CURVATURES_MAX];
+        curvatures.iter_mut().zip(curvatures_1pm).for_each(|(to, from)| *to = *from);
+        Self::Shape { curvatures }
+    }
+}
+
 /// Weight of the posture over that of a position, as a share of the squared length of a segment.
 const POSTURE_SHARE: f64 = 0.1;
 
@@ -87,6 +96,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 goal,
                 now: inputs.obstacles.now(),
                 ahead: inputs.obstacles.ahead(),
+                led_to: Some(self.governor.reference_coordinates()),
             },
             rng,
             deadline,

@@ -18,6 +18,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.mode = self.supervisor.mode();
         r.fault = self.supervisor.latch().first;
         r.fault_count = self.supervisor.latch().count;
+        r.swing_m = self.supervision.swing_m();
         r.drives = inputs.drives.phase;
         r.deadlines_missed = self.supervisor.deadlines_missed();
         r.events_dropped = self.supervisor.events_mut().dropped;

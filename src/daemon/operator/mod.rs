@@ -1,4 +1,4 @@
-//! The arm's socket: stop, hold, disarm and status on a way of their own.
+//! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own.
 //!
 //! Enters: one line with one word, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
 //! order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend on what an arm is
@@ -33,13 +33,18 @@ pub enum Word {
     Hold,
     /// Take the torque off the drives at once, in order.
     Disarm,
+    /// Press the operator's emergency stop, which stays pressed.
+    EmergencyStop,
+    /// Release it.
+    EmergencyRelease,
     /// The daemon's report.
     Status,
 }
 
 impl Word {
     /// Every word.
-    pub const ALL: [Self; 4] = [Self::Stop, Self::Hold, Self::Disarm, Self::Status];
+    pub const ALL: [Self; 6] =
+        [Self::Stop, Self::Hold, Self::Disarm, Self::EmergencyStop, Self::EmergencyRelease, Self::Status];
 
     /// As it is sent.
     pub const fn text(self) -> &'static str {
@@ -47,6 +52,8 @@ impl Word {
             Self::Stop => "stop",
             Self::Hold => "hold",
             Self::Disarm => "disarm",
+            Self::EmergencyStop => "emergency-stop",
+            Self::EmergencyRelease => "emergency-release",
             Self::Status => "status",
         }
     }
@@ -57,6 +64,8 @@ impl Word {
             RequestKind::Stop => Some(Self::Stop),
             RequestKind::Hold => Some(Self::Hold),
             RequestKind::Disarm => Some(Self::Disarm),
+            RequestKind::EmergencyStop => Some(Self::EmergencyStop),
+            RequestKind::EmergencyRelease => Some(Self::EmergencyRelease),
             _ => None,
         }
     }
@@ -66,6 +75,8 @@ impl Word {
             Self::Stop => Some(RequestKind::Stop),
             Self::Hold => Some(RequestKind::Hold),
             Self::Disarm => Some(RequestKind::Disarm),
+            Self::EmergencyStop => Some(RequestKind::EmergencyStop),
+            Self::EmergencyRelease => Some(RequestKind::EmergencyRelease),
             Self::Status => None,
         }
     }

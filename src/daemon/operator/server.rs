@@ -254,7 +254,12 @@ impl Desk {
             }
         }
         let Some(word) = Word::ALL.into_iter().find(|word| line.trim_ascii() == word.text().as_bytes()) else {
-            tell(&guest.stream, &Said::Refused("expected a line with stop, hold, disarm or status".into()));
+            tell(
+                &guest.stream,
+                &Said::Refused(
+                    "expected a line with stop, hold, disarm, emergency-stop, emergency-release or status".into(),
+                ),
+            );
             return Next::Goes;
         };
         let permitted = if word == Word::Status { &socket.see } else { &socket.stop };

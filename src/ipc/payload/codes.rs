@@ -199,6 +199,10 @@ wire_enum! {
         SetTarget = 8, "set target";
         /// Only report the state.
         Status = 9, "status";
+        /// Press the operator's emergency stop: the arm stops, and may not be armed until it is released.
+        EmergencyStop = 10, "emergency-stop";
+        /// Release it; the fault that it raised stays until it is cleared.
+        EmergencyRelease = 11, "emergency-release";
     }
 }
 

@@ -162,6 +162,10 @@ pub struct State {
     pub stale_sources: u64,
     /// Where the time of this tick went.
     pub timing: TickTiming,
+    /// Limits that act, bit by bit: bit k is the limit of code 100 + k.
+    pub limits: u64,
+    /// Swing of the tip beside its motion that there may be, peak to peak (m).
+    pub swing_m: f64,
 }
 
 impl Default for State {
@@ -213,6 +217,8 @@ impl Default for State {
             records_dropped: 0,
             stale_sources: 0,
             timing: TickTiming::default(),
+            limits: 0,
+            swing_m: 0.0,
         }
     }
 }

@@ -44,6 +44,9 @@ pub struct Inputs<'a> {
     pub now: &'a ObstacleSet,
     /// The same obstacles at the end of the lookahead, in the same order.
     pub ahead: &'a ObstacleSet,
+    /// Coordinates q (7N) of a posture that the arm is led to, if it is: no pair is asked for more than it has there. Who
+    /// leads has weighed what is possible, within limits that this planner does not know.
+    pub led_to: Option<&'a [f64]>,
 }
 
 /// Which branch gave the tensions.
@@ -150,6 +153,7 @@ pub struct Planner {
     next: State,
     frames: Frames,
     frames_now: Frames,
+    frames_led: Frames,
     /// Tangents of the nodes 0..=N at zero tension, and their derivatives, 3 x cables each; the base's stay zero.
     tangent_origin: Vec<Vector3<f64>>,
     tangent: Vec<f64>,
@@ -203,6 +207,7 @@ impl Planner {
             next: State::at_rest(arm.straight()),
             frames: frames(),
             frames_now: frames(),
+            frames_led: frames(),
             tangent_origin: vec![Vector3::zeros(); n + 1],
             tangent: vec![0.0; 3 * (n + 1) * nc],
             tangent_known: vec![false; n + 1],
@@ -310,6 +315,9 @@ impl Planner {
         let (mut warning, mut before) = (false, f64::INFINITY);
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
+        if let Some(q) = inputs.led_to {
+            self.arm.frames_into(q, &mut self.frames_led.r, &mut self.frames_led.t);
+        }
         // Where the last tensions are unknown there is nothing to plan a change from.
         if inputs.u_previous.iter().any(|u| u.is_nan()) {
             report.status = Status::Singular;

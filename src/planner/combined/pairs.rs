@@ -89,8 +89,14 @@ impl Planner {
         for k in 0..self.pairs.rows.len() {
             let row = self.pairs.rows[k];
             let now = row.point.combine(&self.frames_now.r, &self.frames_now.t);
-            let d_now = inputs.now.as_slice()[row.obstacle].distance(&now).0 - row.inflation;
-            let required = required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref());
+            // A leader has given way for what the obstacle takes by its own motion; what is left is the arm's own.
+            let seen = if inputs.led_to.is_some() { inputs.ahead } else { inputs.now };
+            let d_now = seen.as_slice()[row.obstacle].distance(&now).0 - row.inflation;
+            let mut required = required_distance(d_now, self.config.clearance_m, self.config.barrier.as_ref());
+            if inputs.led_to.is_some() {
+                let led = row.point.combine(&self.frames_led.r, &self.frames_led.t);
+                required = required.min(inputs.ahead.as_slice()[row.obstacle].distance(&led).0 - row.inflation);
+            }
             let i = row.point.element;
             for node in [i, i + 1] {
                 self.tangent_slope(next, node);

@@ -4,10 +4,12 @@
 //! never drive a drive back that left its state by itself: what took it out may be a person with an emergency stop.
 
 use super::super::config::Order;
+use super::super::cyclic::Address;
 use super::super::fault::Fault;
 use super::super::state::{Command, FAULT_RESET_BIT, State};
 use super::Master;
 use super::status::{Goal, Phase};
+use crate::canopen::NmtCommand;
 use std::sync::atomic::Ordering;
 
 /// Cycles that a drive may leave unanswered however long they take.
@@ -82,6 +84,12 @@ impl Master {
             slot.since_ns = now_ns;
         } else if late {
             self.give_up(i);
+            let torque = matches!(found, State::OperationEnabled | State::QuickStopActive);
+            if torque && self.goal != Goal::Enabled && !self.is_unheard(i, now_ns) {
+                // It is heard and does not obey its controlword: another node may have unmapped it. NMT is another way.
+                let Address { bus, node, .. } = self.addresses[i];
+                self.send(bus, NmtCommand::ResetNode.encode(Some(node)));
+            }
             self.fault(i, now_ns, Fault::Transition { wanted, found, statusword, timeout_ms });
             return false;
         }

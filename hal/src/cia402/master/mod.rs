@@ -20,6 +20,7 @@ use super::config::{DRIVES_MAX, MasterConfig, Order, SetupError};
 use super::cyclic::{Address, CycleWriter, Decoder, Shared};
 use super::fault::{DriveFault, Fault};
 use super::objects::decode_tpdo1;
+use super::read_back::{ReadBack, Task};
 use super::script::{Advance, Runner};
 use super::state::State;
 use crate::can::{CanBus, Frame, Received};
@@ -55,6 +56,7 @@ pub struct Master {
     shared: Arc<Shared>,
     writer: Option<CycleWriter>,
     zeros: Vec<i16>,
+    read_back: Option<ReadBack>,
     goal: Goal,
     faults: VecDeque<DriveFault>,
     faults_dropped: u64,
@@ -93,6 +95,7 @@ impl Master {
             slots: addresses.iter().map(|_| Slot::new()).collect(),
             zeros: vec![0; addresses.len()],
             writer: Some(writer),
+            read_back: ReadBack::new(&config),
             goal: Goal::Disabled,
             faults: VecDeque::new(),
             faults_dropped: 0,
@@ -117,9 +120,12 @@ impl Master {
         Decoder::new(&self.addresses, self.buses.len(), self.shared.clone())
     }
 
-    /// Hands the sending of cycles over; from then on SYNC is the caller's duty, and the drives' SYNC timeout its
+    /// Hands the sending of cycles over, and begins to read back what the drives hold; from then on SYNC is the caller's duty, and the drives' SYNC timeout its
     /// deadline. `None` if it was taken before.
     pub fn take_writer(&mut self) -> Option<CycleWriter> {
+        if let Some(read_back) = &mut self.read_back {
+            read_back.restart();
+        }
         self.writer.take()
     }
 
@@ -136,6 +142,9 @@ impl Master {
             outbox.clear();
         }
         self.goal = Goal::Disabled;
+        if let Some(read_back) = &mut self.read_back {
+            read_back.restart();
+        }
         self.started = true;
         self.heartbeat_due_ns = now_ns;
         self.cycle_due_ns = now_ns;
@@ -268,6 +277,9 @@ impl Master {
                     let advance = runner.on_response(data, now_ns);
                     self.slots[i].runner = Some(runner);
                     self.advance(i, advance, now_ns);
+                } else if let Some(read_back) = &mut self.read_back {
+                    let task = read_back.on_response(i, data, now_ns);
+                    self.carry_out(task, now_ns);
                 }
             }
             Message::Emergency(_) => {
@@ -365,11 +377,25 @@ impl Master {
                 self.supervise(i, now_ns);
             }
             self.follow_goal(now_ns);
+            if let (Some(read_back), None) = (&mut self.read_back, &self.writer) {
+                let ready = |i: usize| self.slots[i].status.phase == Phase::Ready;
+                let absent = |i: usize, index, sub| self.slots[i].status.absent.contains(&(index, sub));
+                let task = read_back.poll(now_ns, ready, absent);
+                self.carry_out(task, now_ns);
+            }
             self.flush();
             self.produce_cycle(now_ns);
         }
         self.flush();
         self.progress()
+    }
+
+    fn carry_out(&mut self, task: Task, now_ns: u64) {
+        match task {
+            Task::None => {}
+            Task::Send(drive, payload) => self.send_sdo(drive, &payload),
+            Task::Changed(drive, fault) => self.fault(drive, now_ns, fault),
+        }
     }
 
     fn flush(&mut self) {

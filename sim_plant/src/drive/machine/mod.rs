@@ -16,6 +16,9 @@ use sinew_hal::cia402::state::{Command, FOLLOWS_TARGET, INTERNAL_LIMIT, REMOTE, 
 use std::collections::VecDeque;
 use traffic::Traffic;
 
+/// Bit of the statusword that shows the emergency stop.
+const EMERGENCY_STOP: u16 = 1 << 14;
+
 /// A consumed heartbeat (object 1016).
 #[derive(Debug, Clone, Copy, Default)]
 struct Consumer {
@@ -47,6 +50,8 @@ pub struct Drive {
     fault_torque: f64,
     now_ns: u64,
     syncs: u64,
+    /// The emergency stop at its input is pressed.
+    pressed: bool,
 }
 
 impl Drive {
@@ -69,6 +74,7 @@ impl Drive {
             fault_torque: 0.0,
             now_ns,
             syncs: 0,
+            pressed: false,
         };
         drive.restart(0x1000..=0x9fff);
         drive
@@ -110,6 +116,13 @@ impl Drive {
         self.dictionary.set_int(o::POSITION, 0, position_counts.into());
         self.dictionary.set_int(o::VELOCITY, 0, velocity_cps.into());
         self.dictionary.set_int(o::TORQUE, 0, torque_permille.into());
+    }
+
+    /// Presses or releases the emergency stop at the drive's input: bit 14 of the statusword, which is the manufacturer's. The
+    /// drive itself does nothing about it.
+    pub fn press(&mut self, pressed: bool) {
+        self.pressed = pressed;
+        self.refresh_state_objects();
     }
 
     /// Next frame to send.
@@ -340,6 +353,9 @@ impl Drive {
             if self.target() != self.dictionary.int(o::TARGET_TORQUE, 0) as f64 {
                 word |= INTERNAL_LIMIT;
             }
+        }
+        if self.pressed {
+            word |= EMERGENCY_STOP;
         }
         self.dictionary.set_int(o::STATUSWORD, 0, word.into());
         self.dictionary.set_int(o::MODE_DISPLAY, 0, mode);

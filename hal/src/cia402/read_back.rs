@@ -1,0 +1,172 @@
+//! Reading back what a drive was told, while it operates: one object at a time over all drives, every second one a limit of
+//! torque.
+//!
+//! Enters: the scripts of all drives, responses, the time. Leaves: requests, and what was changed. A drive that does not
+//! answer is no finding: its heartbeat and its feedback tell more, and sooner. It must never have more than one request
+//! outstanding over all buses.
+
+use super::config::MasterConfig;
+use super::fault::Fault;
+use super::objects as o;
+use super::script::{Step, script};
+use crate::canopen::sdo_client::{Outcome, SdoClient};
+
+/// An object with what it must hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Object {
+    index: u16,
+    sub: u8,
+    len: usize,
+    value: u32,
+    mask: u32,
+}
+
+/// The reader of all drives' objects. Allocates when it is made.
+#[derive(Debug)]
+pub(super) struct ReadBack {
+    /// By drive: its limit of torque, then the others.
+    objects: Vec<Vec<Object>>,
+    period_ns: u64,
+    timeout_ns: u64,
+    due_ns: u64,
+    client: SdoClient,
+    asked: Option<(usize, Object)>,
+    drive: usize,
+    round: usize,
+}
+
+/// What there is to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Task {
+    None,
+    /// Send this to the drive's SDO server.
+    Send(usize, [u8; 8]),
+    /// The drive's object was changed.
+    Changed(usize, Fault),
+}
+
+impl ReadBack {
+    /// `None` where nothing is to be read back.
+    pub(super) fn new(config: &MasterConfig) -> Option<Self> {
+        let period_ns = u64::from(config.read_back_us) * 1000;
+        let timeout_ns = u64::from(config.sdo_timeout_ms) * 1_000_000;
+        (period_ns > 0).then(|| Self {
+            objects: (0..config.drives.len()).map(|drive| objects(&script(config, drive))).collect(),
+            period_ns,
+            timeout_ns,
+            due_ns: 0,
+            client: SdoClient::new(timeout_ns),
+            asked: None,
+            drive: 0,
+            round: 0,
+        })
+    }
+
+    /// Begins anew with the first drive; what is outstanding is given up.
+    pub(super) fn restart(&mut self) {
+        (self.asked, self.drive, self.round, self.due_ns) = (None, 0, 0, 0);
+        self.client = SdoClient::new(self.timeout_ns);
+    }
+
+    /// Time: the next request, if one is due. `ready` tells which drives operate, `absent` which objects they have not.
+    pub(super) fn poll(
+        &mut self,
+        now_ns: u64,
+        ready: impl Fn(usize) -> bool,
+        absent: impl Fn(usize, u16, u8) -> bool,
+    ) -> Task {
+        if let Some((drive, _)) = self.asked {
+            let (outcome, send) = self.client.poll(now_ns);
+            if let Outcome::Failed(_) = outcome {
+                self.asked = None;
+            }
+            return send.map_or(Task::None, |payload| Task::Send(drive, payload));
+        }
+        if now_ns < self.due_ns || !self.client.is_quiet(now_ns) || self.objects.is_empty() {
+            return Task::None;
+        }
+        self.due_ns = now_ns + self.period_ns;
+        let drive = self.drive;
+        self.drive = (drive + 1) % self.objects.len();
+        let round = self.round;
+        if self.drive == 0 {
+            self.round += 1;
+        }
+        let all = &self.objects[drive];
+        let others = all.len().saturating_sub(1).max(1);
+        let object = match round % 2 {
+            0 => all.first(),
+            _ => all.get(1 + (round / 2) % others),
+        };
+        match object {
+            Some(&object) if ready(drive) && !absent(drive, object.index, object.sub) => {
+                self.asked = Some((drive, object));
+                Task::Send(drive, self.client.upload_sized(object.index, object.sub, object.len, now_ns))
+            }
+            _ => Task::None,
+        }
+    }
+
+    /// A response of a drive.
+    pub(super) fn on_response(&mut self, drive: usize, payload: &[u8], now_ns: u64) -> Task {
+        let Some((asked, object)) = self.asked.filter(|(asked, _)| *asked == drive) else { return Task::None };
+        let (outcome, send) = self.client.on_response(payload, now_ns);
+        match outcome {
+            Outcome::Pending => {}
+            Outcome::Failed(_) => self.asked = None,
+            Outcome::Done(value) => {
+                self.asked = None;
+                let found = word(&value);
+                let width = if object.len < 4 { (1 << (8 * object.len)) - 1 } else { u32::MAX };
+                if (found ^ object.value) & object.mask & width != 0 {
+                    let Object { index, sub, value: expected, .. } = object;
+                    return Task::Changed(asked, Fault::Changed { index, sub, expected, found: found & width });
+                }
+            }
+        }
+        send.map_or(Task::None, |payload| Task::Send(asked, payload))
+    }
+}
+
+/// What a script leaves in a drive, as far as it fits a frame and nothing else changes it.
+fn objects(steps: &[Step]) -> Vec<Object> {
+    let mut objects: Vec<Object> = Vec::new();
+    for step in steps {
+        let Step::Write { index, sub, data, mask, .. } = step else { continue };
+        if *index == o::TARGET_TORQUE || data.len() > 4 {
+            continue;
+        }
+        let object = Object { index: *index, sub: *sub, len: data.len(), value: word(data), mask: *mask };
+        match objects.iter_mut().find(|known| (known.index, known.sub) == (*index, *sub)) {
+            // The last one counts: mappings are switched off and on again.
+            Some(known) => *known = object,
+            None => objects.push(object),
+        }
+    }
+    if let Some(limit) = objects.iter().position(|object| object.index == o::MAX_TORQUE) {
+        objects.swap(0, limit);
+    }
+    objects
+}
+
+fn word(data: &[u8]) -> u32 {
+    data.iter().take(4).rev().fold(0, |w, &b| w << 8 | u32::from(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::canopen::NodeId;
+    use crate::cia402::DriveSetup;
+
+    #[test]
+    fn the_limit_of_torque_comes_first_and_what_the_loop_itself_changes_not_at_all() {
+        let node = |n| NodeId::new(n).unwrap();
+        let config = MasterConfig::new(vec![DriveSetup::new(0, node(5))], node(127), 10_000);
+        let objects = objects(&script(&config, 0));
+        assert_eq!((objects[0].index, objects[0].value), (o::MAX_TORQUE, 1000));
+        assert!(objects.iter().all(|object| object.index != o::TARGET_TORQUE));
+        let cob = objects.iter().find(|object| (object.index, object.sub) == (o::RPDO_COMMUNICATION, 1)).unwrap();
+        assert_eq!(cob.value, 0x205, "as it is in the end, not while the mapping is changed");
+    }
+}

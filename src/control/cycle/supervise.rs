@@ -1,0 +1,38 @@
+//! What the supervision sees of a tick, and what becomes of its verdict.
+
+use super::{Cycle, Plan, TickInputs};
+use crate::control::estimator::Estimator;
+use crate::control::fault::FaultList;
+use crate::control::supervision::{SLOW_PACE, Seen, Verdict};
+
+impl<E: Estimator, P: Plan> Cycle<E, P> {
+    /// Watches motion, tensions and cables while the arm holds or moves.
+    pub(super) fn supervise(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Verdict {
+        if !(self.observing && self.supervisor.mode().is_planning()) {
+            self.governor.set_pace(1.0);
+            return Verdict::default();
+        }
+        let state = self.estimator.state();
+        let tip = self.arm.tip(&state.q, &state.qd);
+        self.arm.cable_lengths_into(&state.q, &mut self.model_lengths);
+        let count = 2 * self.arm.segment_count();
+        let seen = Seen {
+            h: f64::from(periods) * self.settings.timing.period_s,
+            tip: tip.position,
+            reference_tip: self.governor.reference_tip(),
+            tip_speed_mps: tip.velocity.norm(),
+            curvatures: &self.curvatures[..count],
+            curvature_rates: &self.curvature_rates[..count],
+            sent_n: &self.sent,
+            commanded_n: &self.commanded,
+            measured_n: inputs.tensions_measured_n,
+            lengths_m: self.encoders.lengths_m(),
+            model_m: &self.model_lengths,
+            disturbance_nm: self.estimator.disturbance_nm(),
+            correction_nm: self.estimator.correction_nm(),
+        };
+        let verdict = self.supervision.check(&seen, faults);
+        self.governor.set_pace(if verdict.slow { SLOW_PACE } else { 1.0 });
+        verdict
+    }
+}

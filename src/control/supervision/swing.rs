@@ -1,0 +1,113 @@
+//! How far the tip swings beside the motion that is wanted of it.
+//!
+//! The estimated tip is laid beside the reference's of as long ago as the reference is ahead of the arm, and what changes slowly
+//! (errors of the model and of following) is taken out. Cables hardly see what swings beside the mean curvatures, so neither
+//! does the estimate: of such a swing it shows no less than [`SHOWN`]. It goes on, while what a turn of the path excites, and
+//! the estimate shows whole, fades within seconds. So what is said is the larger of the peak as it is shown, and of what lasts
+//! over that share: more than there is, rather than less.
+
+use nalgebra::Vector3;
+
+/// Time constant of what counts as slow (s).
+const SLOW_S: f64 = 1.0;
+/// Time constant with which a swing that has ended is forgotten (s).
+const FORGET_S: f64 = 3.0;
+
+/// Time constant of what lasts (s).
+const LASTS_S: f64 = 6.0;
+/// Least share of a true swing that the estimate shows, by `examples/lies.rs` (`swing`).
+const SHOWN: f64 = 0.25;
+
+/// The swing of one arm. [`Swing::new`] allocates, nothing else does.
+#[derive(Debug, Clone)]
+pub struct Swing {
+    started: bool,
+    /// The reference's tip of the last ticks (m), the oldest overwritten first.
+    references: Vec<Vector3<f64>>,
+    next: usize,
+    /// Two low-pass filters in a row.
+    slow: [Vector3<f64>; 2],
+    amplitude_m: f64,
+    /// Mean square (m^2).
+    square_m2: f64,
+}
+
+impl Swing {
+    /// With a reference that is so many ticks ahead of the arm. Allocates.
+    pub fn new(ahead_ticks: usize) -> Self {
+        Self {
+            started: false,
+            references: vec![Vector3::zeros(); ahead_ticks + 1],
+            next: 0,
+            slow: [Vector3::zeros(); 2],
+            amplitude_m: 0.0,
+            square_m2: 0.0,
+        }
+    }
+
+    /// Forgets what was.
+    pub fn restart(&mut self) {
+        (self.started, self.amplitude_m, self.square_m2) = (false, 0.0, 0.0);
+    }
+
+    /// One tick of `h` seconds with the tip and the reference's (m); returns the swing as it is shown and as it may be, peak to
+    /// peak (m).
+    pub fn follow(&mut self, h: f64, tip: &Vector3<f64>, reference: &Vector3<f64>) -> (f64, f64) {
+        if !self.started {
+            self.started = true;
+            self.references.fill(*reference);
+            self.slow = [tip - reference, Vector3::zeros()];
+        }
+        self.references[self.next] = *reference;
+        self.next = (self.next + 1) % self.references.len();
+        let displacement = tip - self.references[self.next];
+        let share = h / (SLOW_S + h);
+        let mut fast = displacement;
+        for slow in &mut self.slow {
+            *slow += share * (fast - *slow);
+            fast -= *slow;
+        }
+        self.amplitude_m = (self.amplitude_m * (1.0 - h / (FORGET_S + h))).max(fast.norm());
+        self.square_m2 += h / (LASTS_S + h) * (fast.norm_squared() - self.square_m2);
+        let (peak_m, lasting_m) = (2.0 * self.amplitude_m, (8.0 * self.square_m2).sqrt());
+        (peak_m, peak_m.max(lasting_m / SHOWN))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const H: f64 = 0.01;
+
+    /// Largest swing said from 5 s on of a tip that follows a reference 0.2 s late and swings beside it.
+    fn said(path: impl Fn(f64) -> f64, beside: impl Fn(f64) -> f64) -> f64 {
+        let mut swing = Swing::new(20);
+        let at = |x: f64| Vector3::new(x, 0.0, 0.0);
+        (0..3000)
+            .map(|k| {
+                let t = f64::from(k) * H;
+                let (m, most) = swing.follow(H, &at(path((t - 0.2).max(0.0)) + beside(t)), &at(path(t)));
+                assert!(most >= m);
+                if t > 5.0 { m } else { 0.0 }
+            })
+            .fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_tip_that_follows_its_reference_does_not_swing_however_late() {
+        let corner = |t: f64| if t < 10.0 { 0.05 * t } else { 1.0 - 0.05 * t };
+        assert!(said(corner, |_| 0.0) < 1e-4);
+        assert!(said(corner, |_| 0.02) < 1e-4, "nor one that is off");
+    }
+
+    #[test]
+    fn a_tip_that_swings_does_so_at_rest_and_on_its_way() {
+        for path in [|_| 0.0, |t: f64| 0.05 * t] {
+            for frequency in [0.33, 0.6, 2.0] {
+                let m = said(path, |t| 0.01 * (std::f64::consts::TAU * frequency * t).sin());
+                assert!((0.015..0.0215).contains(&m), "{frequency} Hz: {m}");
+            }
+        }
+    }
+}
