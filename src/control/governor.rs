@@ -440,12 +440,12 @@ impl Governor {
         self.solving = Some((iterations, starts));
     }
 
-    /// Other postures to start from: straight, then bent towards one side after another.
     /// Whether the target is farther away than its posture reaches.
     pub fn is_out_of_reach(&self) -> bool {
         self.kind == Kind::Tip && self.solving.is_none() && self.best_error > self.settings.reach_m
     }
 
+    /// Other postures to start from: straight, then bent towards one side after another.
     fn chain_of_start(&mut self, start: usize) {
         self.chain.fill(0.0);
         if start > 1 {
