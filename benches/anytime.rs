@@ -153,7 +153,7 @@ fn is_bound(case: &PlanCase) -> bool {
 /// Steps of the tip example, as it is planned in open loop by the complementarity branch.
 fn tip_cases() -> Vec<PlanCase> {
     let scenario = ScenarioConfig::find("tip").unwrap();
-    assert!(scenario.weight_tension == 1.0, "the cases' own weight");
+    assert!(scenario.weight_tension == Some(1.0), "the cases' own weight");
     let course = Course::new(&scenario);
     let mut run = Run::new(&scenario, 1).unwrap();
     run.set_warning(WarningBranch::Complementarity);
@@ -179,7 +179,7 @@ fn tip_cases() -> Vec<PlanCase> {
             what: format!("tip t {t:.1}"),
             config: scenario.arm.clone(),
             settings,
-            change: scenario.weight_tension_change.clone(),
+            change: scenario.weight_tension_change.clone().unwrap(),
             state,
             u_previous,
             goal: Goal::Tip { position, quaternion, pose, rate, damping },

@@ -165,7 +165,8 @@ fn swarm(config: &Config, lines: &mut Lines) {
         let swarm = &mut settings.swarm;
         (swarm.particles_normal, swarm.particles_uniform) = (30, 10);
         (swarm.sweeps_max, swarm.stall_sweeps) = (sweeps, sweeps);
-        let mut planner = Planner::new(&config.arm, &settings, weights.tension, &weights.tension_change);
+        let mut planner =
+            Planner::new(&config.arm, &settings, weights.tension.unwrap(), weights.tension_change.as_ref().unwrap());
         let (mut h, mut evaluations) = (histogram(), 0);
         for _ in 0..500 {
             let begin = Instant::now();
@@ -315,7 +316,7 @@ fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
         u: vec![0.0; config.arm.cable_count()],
     };
     let weights = &settings.weights.tip;
-    let planner = shared(weights.tension, &weights.tension_change);
+    let planner = shared(weights.tension.unwrap(), weights.tension_change.as_ref().unwrap());
     let watched = planner.inner.clone();
     let observer = Observer::new(&config.arm, &settings.observer, period_s);
     let mut cycle = Cycle::with_planner(&settings, observer, planner);

@@ -38,7 +38,7 @@ fn obstacles() -> Obstacles {
 }
 
 fn target() -> Target {
-    Target { mode: TargetMode::Shape.wire(), segment_count: 4, curvature_1pm: [0.806; 16], ..Target::default() }
+    Target { mode: TargetMode::Shape.wire(), segment_count: 4, curvature_1pm: [0.806; 32], ..Target::default() }
 }
 
 fn event() -> Event {

@@ -44,11 +44,11 @@ pub static PLANT: TableSpec = TableSpec {
             "2",
             "Elements per element of `[arm]`; at most 50 elements per segment result.",
         ),
-        Key::default(
+        Key::optional(
             "step_s",
-            Kind::Float(Range::closed(1e-4, 0.1)),
+            Kind::Float(Range::closed(1e-5, 0.1)),
             "s",
-            "0.005",
+            "a part of the period: at most 0.005 s and a two-hundredth of the arm's first period",
             "Integration step; one period of the loop is a whole multiple of it, or equal to it where it is shorter.",
         ),
         Key::default(
@@ -79,11 +79,11 @@ pub static PLANT: TableSpec = TableSpec {
             "0.03",
             "Each cable's tension is off by a constant factor within 1 +- this, drawn from the seed.",
         ),
-        Key::default(
+        Key::optional(
             "encoder_step_m",
             Kind::Float(Range::closed(0.0, 0.01)),
             "m",
-            "2e-5",
+            "7.3e-6 of the arm's length",
             "Resolution of cable lengths; 0 leaves only the drives' counts.",
         ),
         Key::default(
@@ -150,14 +150,15 @@ fn build(document: &reader::Document<'_>) -> (PlantConfig, Config) {
 }
 
 fn read(table: &Section<'_>, config: &Config) -> PlantConfig {
+    let study = TruthSettings::study_of(config, 1);
     let truth = TruthSettings {
         mesh_refinement: table.count("mesh_refinement"),
-        step_s: table.float("step_s"),
+        step_s: table.float_opt("step_s").unwrap_or(study.step_s),
         stiffness_factor: table.float("stiffness_factor"),
         damping_factor: table.float("damping_factor"),
         disk_mass_factor: table.float("disk_mass_factor"),
         tension_error_max: table.float("tension_error_max"),
-        encoder_step_m: table.float("encoder_step_m"),
+        encoder_step_m: table.float_opt("encoder_step_m").unwrap_or(study.encoder_step_m),
         encoder_noise_m: table.float("encoder_noise_m"),
         capstan_friction: table.float("capstan_friction"),
         latency_ticks: table.count("latency_ticks"),
@@ -203,7 +204,11 @@ mod tests {
     fn the_shipped_plant_is_the_default_and_that_of_the_study() {
         let shipped = BUILTIN_FILES.iter().find(|(name, _)| *name == "plant.toml").unwrap().1;
         let (plant, _) = PlantConfig::parse(texts(shipped)).unwrap();
-        assert_eq!(plant, PlantConfig::parse(texts("")).unwrap().0);
+        let mut bare = PlantConfig::parse(texts("")).unwrap().0;
+        // Computed from the arm's length, which is a sum.
+        assert!((bare.truth.encoder_step_m / plant.truth.encoder_step_m - 1.0).abs() < 1e-12);
+        bare.truth.encoder_step_m = plant.truth.encoder_step_m;
+        assert_eq!(plant, bare);
         assert_eq!(plant.truth, TruthSettings::study(1));
     }
 

@@ -6,13 +6,14 @@
 //! * [`truth`]: the arm; [`drive`]: the drives' protocol; [`rig`]: drums, brakes and encoders between them;
 //! * [`server`]: the buses and the passing of time; [`fault`]: what breaks, and when; [`wire`]: what goes wrong on
 //!   the buses; [`trace`]: the truth on file;
-//! * [`mod@bench`]: the controller and the arm in one process, [`poses`]: a campaign of static poses with it;
+//! * [`mod@bench`]: the controller and the arm in one process, [`poses`]: a campaign of static poses with it, [`mod@follow`]: a scenario;
 //! * [`config`]: the table of the plant's settings.
 
 pub mod bench;
 pub mod config;
 pub mod drive;
 pub mod fault;
+pub mod follow;
 pub mod poses;
 pub mod rig;
 pub mod server;

@@ -115,7 +115,8 @@ pub fn channels(config: &Config) -> Result<MotorBank, ChannelError> {
             .drives
             .iter()
             .zip(straight)
-            .map(|(drive, home_length_m)| {
+            .zip(config.arm.tension_maxima_n())
+            .map(|((drive, home_length_m), tension_n_max)| {
                 let channel = MotorChannel {
                     drum_radius_m: drive.drum_radius_m,
                     gear_ratio: drive.gear_ratio,
@@ -123,7 +124,7 @@ pub fn channels(config: &Config) -> Result<MotorBank, ChannelError> {
                     rated_torque_nm: drive.rated_torque_nm,
                     counts_per_turn: f64::from(drive.counts_per_turn),
                     tension_n_min: config.arm.tension_n_min,
-                    tension_n_max: config.arm.tension_n_max,
+                    tension_n_max,
                     home_counts: 0,
                     home_length_m,
                     // From all of it pulled in to as much again paid out.

@@ -20,7 +20,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Serialize;
-use sinew::config::ArmConfig;
+use sinew::config::{ArmConfig, Config, Scale};
 use sinew::integrator::{Scheme, StaticsError, StepError, Stepper, equilibrium};
 use sinew::model::{Arm, State};
 use std::collections::VecDeque;
@@ -29,6 +29,10 @@ use std::collections::VecDeque;
 pub const FRICTION_SPEED_MPS: f64 = 1e-3;
 /// Lag with which the direction of friction follows the cable (s).
 pub const FRICTION_TIME_S: f64 = 0.02;
+/// Encoder's step over the arm's length: 0.02 mm on the paper's.
+const ENCODER_STEP: f64 = 2e-5 / 2.75;
+/// Least number of integration steps in the arm's first period.
+const STEPS_OF_PERIOD: f64 = 200.0;
 /// Newton iterations of one step; three or four are usual.
 const ITERATIONS_MAX: usize = 12;
 
@@ -77,6 +81,19 @@ impl TruthSettings {
             latency_ticks: 0,
             extra_payload_kg: 0.0,
             seed,
+        }
+    }
+
+    /// The same for any arm: the encoders' steps are the same part of its length as the study's of the paper's, and the
+    /// integration's are a part of the loop's period, at most the study's and a two-hundredth of the arm's first period.
+    pub fn study_of(config: &Config, seed: u64) -> Self {
+        let (study, scale) = (Self::study(seed), Scale::of(&config.arm));
+        let period_s = config.timing.period_s;
+        let most_s = (std::f64::consts::TAU / scale.omega_radps / STEPS_OF_PERIOD).min(study.step_s).min(period_s);
+        Self {
+            step_s: period_s / (period_s / most_s - 1e-9).ceil(),
+            encoder_step_m: ENCODER_STEP * scale.length_m,
+            ..study
         }
     }
 

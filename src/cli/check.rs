@@ -4,6 +4,7 @@ use super::{Outcome, complain, print_text};
 use clap::Args;
 use comfy_table::Table;
 use sinew::config::Config;
+use sinew::control::{Settings, doubts, weights_in_words};
 use sinew::daemon;
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,12 @@ impl Check {
             );
             table.add_row([format!("load {}", load.name), value]);
         }
+        for line in config.computed() {
+            table.add_row([line.label, line.value]);
+        }
+        for (key, value) in weights_in_words(&Settings::new(&config)) {
+            table.add_row([key, &value]);
+        }
         for protection in &config.drives.accept_without {
             table.add_row(["accepted without", protection.name()]);
         }
@@ -43,7 +50,8 @@ impl Check {
             table.add_row(["not checked", &value]);
         }
         print_text(&format!("{}\n", table.trim_fmt()))?;
-        for warning in config.warnings().into_iter().chain(absent_processor(&config)) {
+        let doubts = doubts(&Settings::new(&config));
+        for warning in config.warnings().into_iter().chain(doubts).chain(absent_processor(&config)) {
             complain(format_args!("sinew check: warning: {warning}"));
         }
         match daemon::check(&config) {

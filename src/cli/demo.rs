@@ -16,6 +16,7 @@ use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, miette};
 use setup::Setup;
 use sinew::config::Task;
+use sinew::control::{Settings, doubts};
 use sinew::ipc::payload::{PlannerBranch, RequestKind, State, SupervisorState};
 use sinew::ipc::{Client, IpcError, NewestSubscriber};
 use sinew::report::{figures_table, summary_table};
@@ -102,13 +103,20 @@ impl Demo {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
         }
-        let setup = Setup::new(&self)?;
+        let mut setup = Setup::new(&self)?;
         let mut children = Children::new(&setup);
         let ended = self.go(&setup, &mut children, &stop);
         let stopped = children.stop_all(&setup);
         setup.sweep();
+        if ended.is_err() || stopped.is_err() {
+            setup.keep();
+        }
         let ending = ended?;
-        stopped?;
+        match stopped {
+            // What ended the run comes first: a daemon that does not go is no reason to hide it.
+            Err(error) if ending == Ending::Stopped => complain(format_args!("{error}")),
+            other => other?,
+        }
         let judged = judge::judge(&setup, self.fast)?;
         let summary = &judged.summary;
         if self.json {
@@ -124,6 +132,11 @@ impl Demo {
             Ending::Stopped => {
                 let why = if summary.faults.is_empty() { "on request" } else { "by a fault" };
                 complain(format_args!("stopped {why} after {:.1} s of {} s", judged.reached_s, setup.duration_s));
+                if !summary.faults.is_empty() {
+                    for doubt in doubts(&Settings::new(&setup.config)) {
+                        complain(format_args!("likely cause: {doubt}"));
+                    }
+                }
                 Ok(Outcome::Failed)
             }
             Ending::Done => {

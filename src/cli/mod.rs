@@ -1,5 +1,6 @@
 //! Commands of `sinew`; each file is one.
 
+mod arm_info;
 mod check;
 mod client;
 mod demo;
@@ -50,6 +51,8 @@ enum Command {
     Plan(plan::Plan),
     /// Read a configuration, refuse whatever can be refused, and show what it means.
     Check(check::Check),
+    /// Show an arm by its file alone: mass, sag, modes, what its cables can bend, and every setting computed from it.
+    ArmInfo(arm_info::ArmInfo),
     /// Run the daemon of an arm.
     Run(run::Run),
     /// Show a running daemon: mode, faults, times, buses, sources, rights.
@@ -119,6 +122,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
     match arguments.command {
         Command::Plan(plan) => plan.run(),
         Command::Check(check) => check.run(),
+        Command::ArmInfo(info) => info.run(),
         Command::Demo(demo) => demo.run(),
         Command::Client(client) => client.run(),
         Command::Leash(leash) => leash.run(),

@@ -63,6 +63,8 @@ pub struct SegmentConfig {
     pub hole_radius_m: f64,
     /// Angle of each cable's hole from local y towards local z (rad); its length is the number of cables.
     pub hole_angles_rad: Vec<f64>,
+    /// Largest tension of the segment's cables (N), at most the arm's.
+    pub tension_n_max: f64,
 }
 
 /// Load at the tip.
@@ -99,7 +101,7 @@ pub struct ArmConfig {
     pub tension_n_max: f64,
     /// Largest change of a tension per second (N/s).
     pub tension_rate_npsmax: f64,
-    /// Segments from base to tip, 1 to 8.
+    /// Segments from base to tip, 1 to 16.
     pub segments: Vec<SegmentConfig>,
     /// Load at the tip.
     pub payload: PayloadConfig,
@@ -116,6 +118,42 @@ impl ArmConfig {
         let last = self.segments.len().saturating_sub(1);
         let segment = |(i, s): (usize, &SegmentConfig)| s.length_m + if i < last { s.connector_length_m } else { 0.0 };
         self.segments.iter().enumerate().map(segment).sum()
+    }
+
+    /// The similar arm of `s` times the length, with the same pace: times, rates and accelerations over the length are this
+    /// arm's, tensions `s^4` times as large.
+    pub fn scaled(&self, s: f64) -> Self {
+        let mut arm = self.clone();
+        arm.base_position_m.iter_mut().chain(&mut arm.gravity_mps2).for_each(|x| *x *= s);
+        for n in [&mut arm.tension_n_min, &mut arm.tension_n_max, &mut arm.tension_rate_npsmax] {
+            *n *= s.powi(4);
+        }
+        arm.payload.mass_kg *= s.powi(3);
+        for segment in &mut arm.segments {
+            for m in [
+                &mut segment.length_m,
+                &mut segment.disk_radius_m,
+                &mut segment.disk_thickness_m,
+                &mut segment.backbone_radius_m,
+                &mut segment.connector_length_m,
+                &mut segment.hole_radius_m,
+            ] {
+                *m *= s;
+            }
+            segment.backbone_mass_kgpm *= s.powi(2);
+            segment.disk_mass_kg *= s.powi(3);
+            segment.connector_mass_kg *= s.powi(3);
+            segment.bending_stiffness_nm2 *= s.powi(6);
+            segment.torsional_stiffness_nm2 *= s.powi(6);
+            segment.tension_n_max *= s.powi(4);
+        }
+        arm
+    }
+
+    /// Largest tension of each cable (N), segment by segment.
+    pub fn tension_maxima_n(&self) -> Vec<f64> {
+        let segment = |s: &SegmentConfig| std::iter::repeat_n(s.tension_n_max, s.hole_angles_rad.len());
+        self.segments.iter().flat_map(segment).collect()
     }
 
     /// Number of cables.

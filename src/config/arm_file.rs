@@ -99,7 +99,7 @@ pub static ARM: TableSpec = TableSpec {
         ),
         Key::optional(
             "segment_count",
-            Kind::Integer(1, 8),
+            Kind::Integer(1, 16),
             "",
             "one per `[[arm.segments]]`",
             "Number of equal segments, all as `[arm.segment_defaults]` says.",
@@ -113,7 +113,7 @@ pub static ARM: TableSpec = TableSpec {
         ),
         Key::optional(
             "segments",
-            Kind::Tables(Length::Between(1, 8), &SEGMENT),
+            Kind::Tables(Length::Between(1, 16), &SEGMENT),
             "",
             "none",
             "The segments, base to tip, each with what differs from the defaults; give this or `segment_count`, or both with the same number.",
@@ -166,11 +166,18 @@ const SEGMENT_KEYS: &[Key] = &[
     ),
     Key::required("hole_radius_m", POSITIVE_LENGTH, "m", "Radius of the circle of cable holes."),
     Key::optional(
+        "tension_n_max",
+        Kind::Float(Range::above(0.0, 1e5)),
+        "N",
+        "the arm's",
+        "Largest tension of the segment's cables; at most the arm's, above its least.",
+    ),
+    Key::optional(
         "cables",
-        Kind::Integer(3, 12),
+        Kind::Integer(1, 12),
         "",
         "as many as `hole_angles_deg`",
-        "Number of cables, equally spaced.",
+        "Number of cables, equally spaced; fewer than three do not bend a segment to every side (`sinew check`).",
     ),
     Key::default(
         "hole_start_deg",
@@ -188,7 +195,7 @@ const SEGMENT_KEYS: &[Key] = &[
     ),
     Key::optional(
         "hole_angles_deg",
-        Kind::Floats(Length::Between(3, 12), Range::closed(-720.0, 720.0)),
+        Kind::Floats(Length::Between(1, 12), Range::closed(-720.0, 720.0)),
         "deg",
         "equally spaced",
         "Angle of each cable's hole, in place of `cables` and `hole_start_deg`.",
@@ -208,6 +215,11 @@ static SEGMENT: TableSpec = TableSpec {
     about: "One segment, base to tip. A key that is absent is taken from `[arm.segment_defaults]`.",
     keys: SEGMENT_KEYS,
 };
+
+/// Most cables of an arm.
+const CABLES_MAX: usize = 96;
+/// Least length of an element over the thickness of its disk: of shorter ones the disks would lie inside one another.
+const ELEMENT_MIN: f64 = 0.5;
 
 /// Builds the arm from an opened document.
 pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
@@ -230,8 +242,12 @@ pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
         tension_n_max: table.float("tension_n_max"),
         tension_rate_npsmax: table.float_opt("tension_rate_npsmax").unwrap_or(f64::INFINITY),
         payload: PayloadConfig { mass_kg: table.float("payload_mass_kg") },
-        segments: segments(&table),
+        segments: segments(&table, table.float("tension_n_min"), table.float("tension_n_max")),
     };
+    if arm.cable_count() > CABLES_MAX {
+        let help = format!("permitted: at most {CABLES_MAX} cables in all, and at least one for each segment");
+        table.refuse("segments", format!("{} cables", arm.cable_count()), &help);
+    }
     if arm.tension_n_min >= arm.tension_n_max {
         table.refuse(
             "tension_n_min",
@@ -242,7 +258,7 @@ pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
     arm
 }
 
-fn segments(table: &Section<'_>) -> Vec<SegmentConfig> {
+fn segments(table: &Section<'_>, low_n: f64, high_n: f64) -> Vec<SegmentConfig> {
     let defaults = Rc::new(table.table("segment_defaults"));
     let listed = table.tables("segments", Some(&defaults));
     let count = table.count_opt("segment_count");
@@ -253,7 +269,7 @@ fn segments(table: &Section<'_>) -> Vec<SegmentConfig> {
         }
         (None, 0) if table.is_present() && !table.has("segment_count") && !table.has("segments") => {
             let help =
-                "permitted: `segment_count` 1 to 8 with [arm.segment_defaults], or 1 to 8 tables [[arm.segments]]";
+                "permitted: `segment_count` 1 to 16 with [arm.segment_defaults], or 1 to 16 tables [[arm.segments]]";
             table.refuse("segments", "the arm has no segments", help);
         }
         _ => {}
@@ -261,13 +277,17 @@ fn segments(table: &Section<'_>) -> Vec<SegmentConfig> {
     if listed.is_empty() {
         let count = count.unwrap_or(0);
         let one = |index| table.absent(&SEGMENT, format!("arm.segments[{index}]"), Some(&defaults));
-        (0..count).map(|index| segment(&one(index), index + 1 == count)).collect()
+        (0..count).map(|index| segment(&one(index), index + 1 == count, low_n, high_n)).collect()
     } else {
-        listed.iter().enumerate().map(|(index, section)| segment(section, index + 1 == listed.len())).collect()
+        listed
+            .iter()
+            .enumerate()
+            .map(|(index, section)| segment(section, index + 1 == listed.len(), low_n, high_n))
+            .collect()
     }
 }
 
-fn segment(section: &Section<'_>, last: bool) -> SegmentConfig {
+fn segment(section: &Section<'_>, last: bool, low_n: f64, high_n: f64) -> SegmentConfig {
     let connector = |name: &'static str| {
         let value = section.float(name);
         if !last {
@@ -293,7 +313,20 @@ fn segment(section: &Section<'_>, last: bool) -> SegmentConfig {
         connector_mass_kg: connector("connector_mass_kg"),
         hole_radius_m: section.float("hole_radius_m"),
         hole_angles_rad: hole_angles(section),
+        tension_n_max: section.float_opt("tension_n_max").unwrap_or(high_n),
     };
+    if !(config.tension_n_max > low_n && config.tension_n_max <= high_n) && section.is_clean() {
+        let help = format!("permitted: > {low_n} N (`tension_n_min`) and <= {high_n} N (`tension_n_max` of the arm)");
+        section.refuse("tension_n_max", "outside the arm's tension box", &help);
+    }
+    let element_m = config.length_m / config.elements as f64;
+    if element_m < ELEMENT_MIN * config.disk_thickness_m && section.is_clean() {
+        let help = format!(
+            "permitted: {} m or more (`elements` times half of `disk_thickness_m`); or fewer elements",
+            ELEMENT_MIN * config.disk_thickness_m * config.elements as f64
+        );
+        section.refuse("length_m", format!("an element is {element_m} m long, shorter than half a disk"), &help);
+    }
     if config.hole_radius_m > config.disk_radius_m {
         let help = format!("permitted: > 0 and <= {} m", config.disk_radius_m);
         section.refuse("hole_radius_m", "the holes lie outside the disk (`disk_radius_m`)", &help);
@@ -320,7 +353,7 @@ fn hole_angles(section: &Section<'_>) -> Vec<f64> {
             section.refuse(
                 "cables",
                 "neither `cables` nor `hole_angles_deg` is given",
-                "permitted: `cables` 3 to 12, or 3 to 12 angles",
+                "permitted: `cables` 1 to 12, or 1 to 12 angles",
             );
         }
         return Vec::new();

@@ -3,6 +3,7 @@
 use super::Config;
 use super::arm::ArmConfig;
 use super::error::{ConfigError, Problem};
+use std::path::Path;
 
 /// Name and text of every file of `config/` that a program may need.
 pub static BUILTIN_FILES: &[(&str, &str)] = &[
@@ -24,14 +25,48 @@ pub static SCENARIOS: &[(&str, &str)] = &[
     ("swarm-comparison", include_str!("../../config/scenarios/swarm-comparison.toml")),
 ];
 
-/// Text of the built-in scenario of this name.
-pub(super) fn scenario(name: &str) -> Option<&'static str> {
-    SCENARIOS.iter().find(|(scenario, _)| *scenario == name).map(|(_, text)| *text)
+/// Name and text of every file of the library of arms, `config/arms/`: an arm each, and scenarios for it.
+pub static ARMS: &[(&str, &str)] = &[
+    ("festo-bha/arm.toml", include_str!("../../config/arms/festo-bha/arm.toml")),
+    ("festo-bha/shape.toml", include_str!("../../config/arms/festo-bha/shape.toml")),
+    ("festo-bha/tip.toml", include_str!("../../config/arms/festo-bha/tip.toml")),
+    ("lab-two-sections/arm.toml", include_str!("../../config/arms/lab-two-sections/arm.toml")),
+    ("lab-two-sections/tip.toml", include_str!("../../config/arms/lab-two-sections/tip.toml")),
+    ("oc-snake-arm/arm.toml", include_str!("../../config/arms/oc-snake-arm/arm.toml")),
+    ("oc-snake-arm/shape.toml", include_str!("../../config/arms/oc-snake-arm/shape.toml")),
+    ("oc-snake-arm/tip.toml", include_str!("../../config/arms/oc-snake-arm/tip.toml")),
+    ("rao-2021/arm.toml", include_str!("../../config/arms/rao-2021/arm.toml")),
+    ("rao-2021/shape.toml", include_str!("../../config/arms/rao-2021/shape.toml")),
+    ("rao-2021/tip.toml", include_str!("../../config/arms/rao-2021/tip.toml")),
+    ("rucker-webster-2011/arm.toml", include_str!("../../config/arms/rucker-webster-2011/arm.toml")),
+    ("rucker-webster-2011/shape.toml", include_str!("../../config/arms/rucker-webster-2011/shape.toml")),
+    ("rucker-webster-2011/tip.toml", include_str!("../../config/arms/rucker-webster-2011/tip.toml")),
+    ("sofa-trunk/arm.toml", include_str!("../../config/arms/sofa-trunk/arm.toml")),
+    ("sofa-trunk/shape.toml", include_str!("../../config/arms/sofa-trunk/shape.toml")),
+];
+
+/// Path and text of the built-in scenario of this name: `tip`, or of an arm of the library `rao-2021/tip`.
+pub(super) fn scenario(name: &str) -> Option<(String, &'static str)> {
+    let own = SCENARIOS.iter().find(|(scenario, _)| *scenario == name);
+    let arms = || ARMS.iter().find(|(file, _)| file.strip_suffix(".toml") == Some(name) && !file.ends_with("arm.toml"));
+    own.map(|(_, text)| (format!("config/scenarios/{name}.toml (built in)"), *text))
+        .or_else(|| arms().map(|(file, text)| (format!("config/arms/{file} (built in)"), *text)))
+}
+
+/// Text of a file of the library of arms, by its path as built-in scenarios name it.
+pub(super) fn arm_text(path: &Path) -> Option<&'static str> {
+    let name = path.strip_prefix("config/arms").ok()?;
+    ARMS.iter().find(|(file, _)| Path::new(file) == name).map(|(_, text)| *text)
 }
 
 /// What to say when there is neither such a file nor such a built-in scenario.
 pub(super) fn no_such_scenario(name: &str) -> ConfigError {
-    let names: Vec<_> = SCENARIOS.iter().map(|(scenario, _)| *scenario).collect();
+    let library = ARMS.iter().filter(|(file, _)| !file.ends_with("arm.toml"));
+    let names: Vec<_> = SCENARIOS
+        .iter()
+        .map(|(scenario, _)| *scenario)
+        .chain(library.filter_map(|(file, _)| file.strip_suffix(".toml")))
+        .collect();
     ConfigError {
         subject: name.to_owned(),
         problems: vec![Problem {
@@ -47,6 +82,19 @@ pub(super) fn no_such_scenario(name: &str) -> ConfigError {
 pub fn builtin_texts(drives: &str) -> Vec<(String, String)> {
     let texts = BUILTIN_FILES.iter().filter(|(name, _)| ["arm.toml", "controller.toml", drives].contains(name));
     texts.map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect()
+}
+
+/// `[drives]` of an arm that is simulated: one drive for each cable, on one virtual bus, in the order of the cables. The drums
+/// have 0.03 of the arm's length as radius, and the drives pull a little more than the largest tension.
+pub fn simulated_drives(arm: &ArmConfig) -> String {
+    let drum_m = 0.03 * arm.length_m();
+    let torque_nm = 1.06 * arm.tension_n_max * drum_m / 10.0;
+    format!(
+        "[drives]\nsafe_tension_n = {:?}\n\n[[drives.buses]]\nname = \"bus0\"\nkind = \"virtual\"\ninterface = \"sinew0\"\n\n\
+         [drives.defaults]\ndrum_radius_m = {drum_m:?}\ngear_ratio = 10.0\nrated_torque_nm = {torque_nm:?}\n\
+         torque_nm_max = {torque_nm:?}\ncounts_per_turn = 4096\nvendor_id = 0\nproduct_code = 0x53494e57\n",
+        arm.tension_n_min
+    )
 }
 
 impl Config {

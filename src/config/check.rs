@@ -14,27 +14,53 @@ pub struct SummaryLine {
     pub value: String,
 }
 
-fn line(label: &str, value: String) -> SummaryLine {
+pub(super) fn line(label: &str, value: String) -> SummaryLine {
     SummaryLine { label: label.to_owned(), value }
 }
 
-/// Least stiffness-proportional damping that the closed loop was tried with (s).
-const DAMPING_S_MIN: f64 = 0.0005;
+/// What cables at these angles (rad) around a segment's axis cannot do, in words; `None` where they bend it to every side.
+fn cannot_bend(angles: &[f64]) -> Option<String> {
+    let turn = std::f64::consts::TAU;
+    let mut sorted: Vec<f64> = angles.iter().map(|a| a.rem_euclid(turn)).collect();
+    sorted.sort_by(f64::total_cmp);
+    let next = |i: usize| if i + 1 < sorted.len() { sorted[i + 1] } else { sorted[0] + turn };
+    let gaps: Vec<f64> = (0..sorted.len()).map(|i| next(i) - sorted[i]).collect();
+    let widest = gaps.iter().copied().fold(0.0, f64::max);
+    let half = turn / 2.0;
+    let in_line = angles.iter().all(|a| ((a - angles[0]).sin()).abs() < 1e-3);
+    let degrees = |a: f64| a.to_degrees().rem_euclid(360.0).round();
+    if in_line && widest > half + 1e-3 {
+        let at = degrees(angles[0]);
+        return Some(format!(
+            "cables at {at} degrees alone bend it to that side only; it springs back by its own stiffness, and what bends it \
+             sideways is not controlled"
+        ));
+    }
+    if in_line {
+        let at = degrees(angles[0]);
+        return Some(format!(
+            "cables at {at} and {} degrees bend it in one plane; what bends it out of it is not controlled",
+            degrees(angles[0] + half)
+        ));
+    }
+    (widest > half + 1e-3).then(|| {
+        let from = gaps.iter().position(|gap| *gap == widest).map_or(0.0, |i| sorted[i]);
+        format!(
+            "no cable from {} to {} degrees: it is not bent to that side but by its own stiffness",
+            degrees(from),
+            degrees(from + widest)
+        )
+    })
+}
 
 impl Config {
     /// What is permitted, and will hardly do what it is there for.
     pub fn warnings(&self) -> Vec<String> {
         let segments = self.arm.segments.iter().enumerate();
-        segments
-            .filter(|(_, segment)| segment.damping_stiffness_s < DAMPING_S_MIN)
-            .map(|(index, segment)| {
-                format!(
-                    "segment {}: damping_stiffness_s = {} s; less than {DAMPING_S_MIN} s was never tried",
-                    index + 1,
-                    segment.damping_stiffness_s
-                )
-            })
-            .collect()
+        let bends = segments.filter_map(|(index, segment)| {
+            cannot_bend(&segment.hole_angles_rad).map(|what| format!("segment {}: {what}", index + 1))
+        });
+        bends.collect()
     }
 
     /// Summary of the arm, the loop, the planner, the observer, the buses and their drives.

@@ -374,7 +374,7 @@ static OVERRIDE: TableSpec = TableSpec {
     name: "overrides",
     about: "A drive that differs: which cable, and what is different. Other keys are taken from `[drives.defaults]`.",
     keys: &[
-        Key::required("segment", Kind::Integer(1, 8), "", "Segment of the cable, from 1."),
+        Key::required("segment", Kind::Integer(1, 16), "", "Segment of the cable, from 1."),
         Key::required("cable", Kind::Integer(1, 12), "", "Number of the cable within the segment, from 1."),
         Key::optional("bus", Kind::Text(32), "", "as dealt", "Name of its bus."),
         Key::optional(
@@ -505,7 +505,8 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
             table.refuse("buses", message, "permitted: node ids 1 to 127; use more buses or lower `first_node_id`");
         }
         let drive = drive(section, segment, cable, bus, node);
-        check_torque(section, arm, &drive);
+        let own = arm.segments.get(segment.wrapping_sub(1)).map_or(arm.tension_n_max, |s| s.tension_n_max);
+        check_torque(section, own, &drive);
         drives.push(drive);
     }
     check_layouts(&bus_tables, &buses, &drives);
@@ -625,15 +626,15 @@ fn drive(section: &Section<'_>, segment: usize, cable: usize, bus: usize, node: 
     }
 }
 
-fn check_torque(section: &Section<'_>, arm: &ArmConfig, drive: &DriveConfig) {
-    let needed = drive.torque_nm(arm.tension_n_max);
+fn check_torque(section: &Section<'_>, tension_n_max: f64, drive: &DriveConfig) {
+    let needed = drive.torque_nm(tension_n_max);
     let most = 10.0 * drive.rated_torque_nm;
     if drive.torque_nm_max >= needed && drive.torque_nm_max <= most || !section.is_clean() {
         return;
     }
     let help = format!(
         "permitted: {needed:.4} N m ({} N on a drum of {} m behind a gear of {}) to {most} N m",
-        arm.tension_n_max, drive.drum_radius_m, drive.gear_ratio
+        tension_n_max, drive.drum_radius_m, drive.gear_ratio
     );
     section.refuse("torque_nm_max", "does not fit the arm's `tension_n_max` or the rated torque", &help);
 }

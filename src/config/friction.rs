@@ -1,6 +1,7 @@
 //! `[friction]`: friction of the cables along their route, as far as the controller makes up for it.
 
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
@@ -33,11 +34,11 @@ pub static FRICTION: TableSpec = TableSpec {
             "0.0",
             "Friction coefficient mu; 0 for no compensation. Too much of it makes the arm hunt, too little is made up for by the observer.",
         ),
-        Key::default(
+        Key::optional(
             "speed_mps",
-            Kind::Float(Range::closed(1e-5, 1.0)),
+            Kind::Float(Range::closed(1e-7, 1.0)),
             "m/s",
-            "2e-3",
+            "0.00073 L per second",
             "Planned rate of a cable at which three quarters of the friction is made up for.",
         ),
         Key::default(
@@ -50,11 +51,14 @@ pub static FRICTION: TableSpec = TableSpec {
     ],
 };
 
-/// Reads `[friction]`.
-pub(super) fn read(table: &Section<'_>) -> FrictionConfig {
+/// Planned rate of a cable at which most of the friction is made up for, over the arm's length (1/s).
+const SPEED_1PS: f64 = 0.002 / 2.75;
+
+/// Reads `[friction]` for an arm.
+pub(super) fn read(table: &Section<'_>, scale: &Scale) -> FrictionConfig {
     FrictionConfig {
         coefficient: table.float("coefficient"),
-        speed_mps: table.float("speed_mps"),
+        speed_mps: table.float_opt("speed_mps").unwrap_or(SPEED_1PS * scale.length_m),
         time_s: table.float("time_s"),
     }
 }

@@ -12,6 +12,7 @@ mod arm;
 mod arm_file;
 mod builtin;
 mod check;
+mod computed;
 mod document;
 mod drives;
 pub mod error;
@@ -26,6 +27,7 @@ mod planner;
 mod planner_file;
 pub mod reader;
 mod recording;
+mod scale;
 mod scenario;
 mod scenario_file;
 pub mod schema;
@@ -37,7 +39,7 @@ mod weights;
 pub use access::{ACCESS, AccessConfig, Who};
 pub use arm::*;
 pub use arm_file::ARM;
-pub use builtin::{BUILTIN_FILES, SCENARIOS, builtin_texts};
+pub use builtin::{ARMS, BUILTIN_FILES, SCENARIOS, builtin_texts, simulated_drives};
 pub use check::SummaryLine;
 pub use drives::{
     BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX, Protection, SIMULATED_DRIVE,
@@ -52,8 +54,9 @@ pub use obstacles::{LostAction, OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
 pub use recording::{RECORDING, RecordingConfig};
+pub use scale::Scale;
 pub use scenario::*;
-pub use scenario_file::{SCENARIO, arm_of};
+pub use scenario_file::{SCENARIO, arm_of, arm_text_of};
 pub use supervision::{SUPERVISION, SupervisionAnswer, SupervisionConfig};
 pub use target::{TARGET, TargetPolicyConfig};
 pub use timing::{LOOP, LoopConfig};
@@ -161,24 +164,43 @@ impl Config {
         reader::read(texts, KNOWN_TABLES, Self::build)
     }
 
+    /// What an arm alone gives: everything is computed from it, and a simulated drive on one virtual bus pulls each cable. A
+    /// period (s) that is given overrides the arm's.
+    ///
+    /// # Errors
+    /// The arm is none that a file could describe, or the period is not permitted.
+    pub fn of_arm(arm: &ArmConfig, period_s: Option<f64>) -> Result<Self, ConfigError> {
+        let mut texts = vec![(format!("drives of {}", arm.name), builtin::simulated_drives(arm))];
+        if let Some(period_s) = period_s {
+            texts.push((format!("period of {}", arm.name), format!("[loop]\nperiod_s = {period_s:?}\n")));
+        }
+        reader::read(texts, KNOWN_TABLES, |document| Self::build_for(document, arm.clone()))
+    }
+
     /// Builds the configuration from an opened document, for programs whose files hold further tables.
     pub fn build(document: &Document<'_>) -> Self {
-        let arm = arm_file::arm(document);
-        let timing = timing::read(&document.table_or_defaults(&LOOP));
+        Self::build_for(document, arm_file::arm(document))
+    }
+
+    fn build_for(document: &Document<'_>, arm: ArmConfig) -> Self {
+        let scale = Scale::of(&arm);
         let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
         let planner_table = document.table_or_defaults(&PLANNER);
-        let planner = planner_file::read(&planner_table, Some(timing.period_s), disk_radius_m);
-        let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len());
-        let observer = observer::read(&document.table_or_defaults(&OBSERVER));
-        let friction = friction::read(&document.table_or_defaults(&FRICTION));
-        let governor = governor::read(&document.table_or_defaults(&GOVERNOR), &arm);
+        let given_s = planner_table.float_opt("lookahead_s");
+        let lookahead_s = given_s.unwrap_or_else(|| planner_file::lookahead_s(&scale));
+        let timing = timing::read(&document.table_or_defaults(&LOOP), &scale, lookahead_s);
+        let planner = planner_file::read(&planner_table, given_s, Some(timing.period_s), &scale, disk_radius_m);
+        let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len(), planner.lookahead_s);
+        let observer = observer::read(&document.table_or_defaults(&OBSERVER), &arm, &scale);
+        let friction = friction::read(&document.table_or_defaults(&FRICTION), &scale);
+        let governor = governor::read(&document.table_or_defaults(&GOVERNOR), &scale);
         let guard_table = document.table_or_defaults(&GUARD);
-        let guard = guard::read(&guard_table);
+        let guard = guard::read(&guard_table, &scale, timing.period_s);
         if guard.encoder_silent_s < 2.0 * timing.period_s {
             let help = format!("permitted: {} s (two periods of the loop) to 10 s", 2.0 * timing.period_s);
             guard_table.refuse("encoder_silent_s", "shorter than two periods of the loop", &help);
         }
-        let obstacles = obstacles::read(&document.table_or_defaults(&OBSTACLES));
+        let obstacles = obstacles::read(&document.table_or_defaults(&OBSTACLES), &scale);
         let target = target::read(&document.table_or_defaults(&TARGET));
         let drives = drives::read(&document.table(&DRIVES), &arm, Some(timing.period_s));
         let step_n = drives.drives.iter().map(DriveConfig::tension_step_n).fold(0.0, f64::max);

@@ -1,6 +1,8 @@
 //! `[observer]`: the state estimate from cable lengths (design, section 6).
 
+use super::arm::ArmConfig;
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
@@ -42,7 +44,7 @@ pub struct ObserverConfig {
 pub static OBSERVER: TableSpec = TableSpec {
     header: "[observer]",
     name: "observer",
-    about: "The state estimate from cable lengths. `z` are the bend angles that model and measurement differ by, two per segment.",
+    about: "The state estimate from cable lengths. `z` are the bend angles that model and measurement differ by, two per segment; omega is the first angular frequency of the straight arm.",
     keys: &[
         Key::default(
             "stiffness_ratio",
@@ -51,26 +53,32 @@ pub static OBSERVER: TableSpec = TableSpec {
             "2.0",
             "Spring K of the correction; 1 to 3 matches the arm's impedance, much more leaves torsion undamped.",
         ),
-        Key::default("damping_s", Kind::Float(Range::above(0.0, 20.0)), "s", "2.0", "Damper over spring, D/K."),
-        Key::default(
-            "filter_time_s",
-            Kind::Float(Range::above(0.0, 10.0)),
+        Key::optional(
+            "damping_s",
+            Kind::Float(Range::above(0.0, 1e3)),
             "s",
-            "0.1",
+            "1.57 / omega",
+            "Damper over spring, D/K.",
+        ),
+        Key::optional(
+            "filter_time_s",
+            Kind::Float(Range::above(0.0, 100.0)),
+            "s",
+            "0.078 / omega",
             "Time constant of the Maxwell damper, in place of measured rates.",
         ),
-        Key::default(
+        Key::optional(
             "disturbance_time_s",
-            Kind::Float(Range::closed(0.3, 100.0)),
+            Kind::Float(Range::above(0.0, 1e3)),
             "s",
-            "1.0",
+            "0.78 / omega",
             "Time constant of the disturbance estimate; much faster keeps a bent arm swinging.",
         ),
-        Key::default(
+        Key::optional(
             "model_damping_ratio",
-            Kind::Float(Range::closed(1.0, 10.0)),
+            Kind::Float(Range::closed(1.0, 100.0)),
             "",
-            "2.5",
+            "5 % damping of the first mode, 1 to 10",
             "Damping of the observer's model over the arm's: cables do not see torsion, and an error of it would swing on.",
         ),
         Key::default(
@@ -87,19 +95,25 @@ pub static OBSERVER: TableSpec = TableSpec {
             "0.01",
             "The estimate has settled when every entry of z is below this ...",
         ),
-        Key::default(
+        Key::optional(
             "settle_rate_radps",
-            Kind::Float(Range::above(0.0, 1.0)),
+            Kind::Float(Range::above(0.0, 10.0)),
             "rad/s",
-            "0.01",
+            "0.0128 omega",
             "... and every bend angle's rate below this ...",
         ),
-        Key::default("settle_time_s", Kind::Float(Range::closed(0.0, 60.0)), "s", "0.5", "... for this long."),
-        Key::default(
+        Key::optional(
+            "settle_time_s",
+            Kind::Float(Range::closed(0.0, 60.0)),
+            "s",
+            "0.39 / omega, 0.1 to 5 s",
+            "... for this long.",
+        ),
+        Key::optional(
             "settle_timeout_s",
             Kind::Float(Range::above(0.0, 600.0)),
             "s",
-            "20.0",
+            "0.31 of the first mode's decay time, 20 to 600 s",
             "Time after which an estimate that has not settled is a fault; longer than `settle_time_s`.",
         ),
         Key::default(
@@ -133,19 +147,41 @@ pub static OBSERVER: TableSpec = TableSpec {
     ],
 };
 
-/// Reads `[observer]`.
-pub(super) fn read(table: &Section<'_>) -> ObserverConfig {
+/// Times over the inverse of the first angular frequency: damper over spring, its filter, the disturbance's estimate,
+/// settling; and the rate at which it has settled, over the frequency.
+const DAMPING: f64 = 1.57;
+const FILTER: f64 = 0.078;
+const DISTURBANCE: f64 = 0.78;
+const SETTLE: f64 = 0.39;
+const SETTLE_S: (f64, f64) = (0.1, 5.0);
+const SETTLE_RATE: f64 = 0.0128;
+/// Damping ratio of the first mode in the observer's model, and the range of its damping over the arm's.
+const MODEL_DAMPING: f64 = 0.049;
+const MODEL_DAMPING_RATIO: (f64, f64) = (1.0, 10.0);
+/// Time-out of settling over the decay time of the first mode, and its range (s).
+const TIMEOUT: f64 = 0.31;
+const TIMEOUT_S: (f64, f64) = (20.0, 600.0);
+
+/// Reads `[observer]` for an arm.
+pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, scale: &Scale) -> ObserverConfig {
+    // Of the first mode, to which all segments contribute.
+    let beta = arm.segments.iter().map(|s| s.damping_stiffness_s * s.length_m).sum::<f64>() / scale.length_m;
+    let decay = 0.5 * (beta * scale.omega_radps * scale.omega_radps + arm.damping_mass_1ps);
+    let ratio = decay / scale.omega_radps;
+    let clamp = |x: f64, (low, high): (f64, f64)| x.clamp(low, high);
     let config = ObserverConfig {
         stiffness_ratio: table.float("stiffness_ratio"),
-        damping_s: table.float("damping_s"),
-        filter_time_s: table.float("filter_time_s"),
-        disturbance_time_s: table.float("disturbance_time_s"),
-        model_damping_ratio: table.float("model_damping_ratio"),
+        damping_s: table.float_opt("damping_s").unwrap_or(scale.time_s(DAMPING)),
+        filter_time_s: table.float_opt("filter_time_s").unwrap_or(scale.time_s(FILTER)),
+        disturbance_time_s: table.float_opt("disturbance_time_s").unwrap_or(scale.time_s(DISTURBANCE)),
+        model_damping_ratio: table
+            .float_opt("model_damping_ratio")
+            .unwrap_or(clamp(MODEL_DAMPING / ratio, MODEL_DAMPING_RATIO)),
         rho_inf: table.float("rho_inf"),
         settle_innovation_rad: table.float("settle_innovation_rad"),
-        settle_rate_radps: table.float("settle_rate_radps"),
-        settle_time_s: table.float("settle_time_s"),
-        settle_timeout_s: table.float("settle_timeout_s"),
+        settle_rate_radps: table.float_opt("settle_rate_radps").unwrap_or(SETTLE_RATE * scale.omega_radps),
+        settle_time_s: table.float_opt("settle_time_s").unwrap_or(clamp(scale.time_s(SETTLE), SETTLE_S)),
+        settle_timeout_s: table.float_opt("settle_timeout_s").unwrap_or(clamp(TIMEOUT / decay, TIMEOUT_S)),
         innovation_bound_rad: table.float("innovation_bound_rad"),
         innovation_growth_rad: table.float("innovation_growth_rad"),
         innovation_window_s: table.float("innovation_window_s"),

@@ -1,6 +1,7 @@
 //! `[obstacles]`: how far perception is believed.
 
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Length, Range, TableSpec};
 use serde::Serialize;
 
@@ -43,7 +44,7 @@ pub enum LostAction {
 pub static OBSTACLES: TableSpec = TableSpec {
     header: "[obstacles]",
     name: "obstacles",
-    about: "How far obstacle estimates are believed: they grow with uncertainty and age, and in the end the arm holds.",
+    about: "How far obstacle estimates are believed (L is the arm's length): they grow with uncertainty and age, and in the end the arm holds.",
     keys: &[
         Key::default(
             "stale_after_s",
@@ -59,19 +60,19 @@ pub static OBSTACLES: TableSpec = TableSpec {
             "1.0",
             "Age beyond which the arm holds; at least `stale_after_s`.",
         ),
-        Key::default(
+        Key::optional(
             "growth_mps",
             Kind::Float(Range::closed(0.0, 10.0)),
             "m/s",
-            "0.05",
+            "0.018 L per second",
             "Growth per second of age beyond `stale_after_s`; beyond `hold_after_s` by the obstacle's speed as well, for it is \
              no longer moved.",
         ),
-        Key::default(
+        Key::optional(
             "growth_m_max",
             Kind::Float(Range::closed(0.0, 10.0)),
             "m",
-            "0.3",
+            "0.11 L",
             "Most that an obstacle grows by age.",
         ),
         Key::default(
@@ -114,16 +115,20 @@ pub static OBSTACLES: TableSpec = TableSpec {
     ],
 };
 
-/// Reads `[obstacles]`.
-pub(super) fn read(table: &Section<'_>) -> ObstaclePolicyConfig {
+/// Growth of an obstacle by age (1/s) and the most of it, over the arm's length.
+const GROWTH_1PS: f64 = 0.05 / 2.75;
+const GROWTH_MAX: f64 = 0.3 / 2.75;
+
+/// Reads `[obstacles]` for an arm.
+pub(super) fn read(table: &Section<'_>, scale: &Scale) -> ObstaclePolicyConfig {
     let config = ObstaclePolicyConfig {
         stale_after_s: table.float("stale_after_s"),
         hold_after_s: table.float("hold_after_s"),
-        growth_mps: table.float("growth_mps"),
+        growth_mps: table.float_opt("growth_mps").unwrap_or(GROWTH_1PS * scale.length_m),
         sigma_multiple: table.float("sigma_multiple"),
         capacity: table.count("capacity"),
         future_tolerance_s: table.float("future_tolerance_s"),
-        growth_m_max: table.float("growth_m_max"),
+        growth_m_max: table.float_opt("growth_m_max").unwrap_or(GROWTH_MAX * scale.length_m),
         lost: if table.choice("lost") == "stop" { LostAction::Stop } else { LostAction::Hold },
         require_source: table.boolean("require_source"),
         required: table.integers("required").into_iter().filter_map(|id| u32::try_from(id).ok()).collect(),

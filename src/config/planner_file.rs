@@ -5,6 +5,7 @@
 
 use super::planner::{BarrierConfig, BodyModel, PlannerConfig, SwarmConfig, WarningBranch};
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Length, Range, TableSpec};
 
 /// Names of the branches in files.
@@ -25,12 +26,12 @@ const POSITIVE_SECONDS: Kind = Kind::Float(Range::above(0.0, 10.0));
 
 const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static TableSpec) -> [Key; 11] {
     [
-        Key::default(
+        Key::optional(
             "lookahead_s",
             POSITIVE_SECONDS,
             "s",
-            "0.1",
-            "Lookahead eta: the implicit step that is planned. The rate weights are made for 0.1 s.",
+            "0.078 / omega, in two digits or whole periods",
+            "Lookahead eta: the implicit step that is planned.",
         ),
         Key::default(
             "newton_iterations_max",
@@ -61,25 +62,25 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
             "\"arm\"",
             "Where distances are measured from: the backbone's whole curve, or the paper's points on it.",
         ),
-        Key::default(
+        Key::optional(
             "clearance_m",
             Kind::Float(Range::closed(0.0, 1.0)),
             "m",
             clearance,
             "d_s as a clearance between surfaces; the paper's d_s is the ball's radius plus this.",
         ),
-        Key::default(
+        Key::optional(
             "warning_distance_m",
             Kind::Float(Range::above(0.0, 1.0)),
             "m",
-            "0.01",
+            "0.0036 L",
             "d_w: margin on top of the clearance inside which the warning branch plans; at least the barrier's activation.",
         ),
-        Key::default(
+        Key::optional(
             "warning_hysteresis_m",
             Kind::Float(Range::closed(0.0, 1.0)),
             "m",
-            "0.005",
+            "0.0018 L",
             "Extra margin that must be regained before the safe branch plans again.",
         ),
         Key::optional(
@@ -93,8 +94,8 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
     ]
 }
 
-const DAEMON: [Key; 11] = shared("2", "0.01", &SWARM);
-const SCENARIO: [Key; 11] = shared("30", "0.0", &SCENARIO_SWARM);
+const DAEMON: [Key; 11] = shared("2", "0.0036 L", &SWARM);
+const SCENARIO: [Key; 11] = shared("30", "0", &SCENARIO_SWARM);
 
 macro_rules! with_shared {
     ($shared:expr, $($key:expr),+ $(,)?) => {
@@ -109,7 +110,7 @@ macro_rules! with_shared {
 pub static PLANNER: TableSpec = TableSpec {
     header: "[planner]",
     name: "planner",
-    about: "The combined planner, as the daemon runs it: a receding horizon with a barrier. The period is `[loop]`'s.",
+    about: "The combined planner, as the daemon runs it: a receding horizon with a barrier. L is the arm's length, omega the first angular frequency of the straight arm. The period is `[loop]`'s.",
     keys: with_shared!(
         DAEMON,
         Key::optional(
@@ -179,11 +180,11 @@ const BARRIER_GAMMA: Key = Key::default(
     "0.3",
     "Share of the remaining distance that one lookahead may use up; 0.2 to 0.3 is smooth, 0.1 infeasible in the tip example.",
 );
-const BARRIER_ACTIVATION: Key = Key::default(
+const BARRIER_ACTIVATION: Key = Key::optional(
     "barrier_activation_m",
     Kind::Float(Range::above(0.0, 10.0)),
     "m",
-    "0.15",
+    "0.0545 L",
     "Surface distance above the clearance from which the barrier acts.",
 );
 
@@ -193,12 +194,12 @@ const fn swarm_keys() -> [Key; 11] {
     [
         Key::default("particles_normal", particles, "", "30", "delta_1: particles from N(u_{k-1}, sigma^2)."),
         Key::default("particles_uniform", particles, "", "10", "delta_2: particles from U(u_min, u_max)."),
-        Key::default(
+        Key::optional(
             "sigma_n",
             Kind::Float(Range::above(0.0, 1e4)),
             "N",
-            "2.0",
-            "sigma: the paper gives none; tensions change by some 0.1 N to a few N per 0.1 s step in its examples.",
+            "0.0091 of the largest tension",
+            "sigma: the paper gives none; 2 N of 220 N, where tensions change by some 0.1 N to a few N per step in its examples.",
         ),
         Key::default(
             "chaotic_min",
@@ -263,11 +264,11 @@ static SCENARIO_SWARM: TableSpec = TableSpec {
     keys: &SWARM_KEYS,
 };
 
-fn swarm(table: &Section<'_>) -> SwarmConfig {
+fn swarm(table: &Section<'_>, scale: &Scale) -> SwarmConfig {
     let config = SwarmConfig {
         particles_normal: table.count("particles_normal"),
         particles_uniform: table.count("particles_uniform"),
-        sigma_n: table.float("sigma_n"),
+        sigma_n: table.float_opt("sigma_n").unwrap_or(SIGMA * scale.tension_n),
         chaotic_min: table.count("chaotic_min"),
         chaotic_max: table.count("chaotic_max"),
         inertia: table.vector("inertia"),
@@ -289,9 +290,38 @@ fn swarm(table: &Section<'_>) -> SwarmConfig {
     config
 }
 
-/// Reads a planner's table. `period_s` is the loop's, `None` in a scenario; `disk_radius_m` the largest of the arm.
-pub(super) fn read(table: &Section<'_>, period_s: Option<f64>, disk_radius_m: f64) -> PlannerConfig {
-    let lookahead_s = table.float("lookahead_s");
+/// Lookahead over the inverse of the first angular frequency: 0.1 s on the paper's arm.
+const LOOKAHEAD: f64 = 0.0784;
+/// Lengths over the arm's, and what they are on the paper's of 2.75 m: clearance in closed loop, margin of the warning
+/// subspace, its hysteresis, reach of the barrier.
+const CLEARANCE: f64 = 0.01 / 2.75;
+const WARNING: f64 = 0.01 / 2.75;
+const HYSTERESIS: f64 = 0.005 / 2.75;
+const ACTIVATION: f64 = 0.15 / 2.75;
+/// Spread of the swarm's normal particles over the largest tension: 2 N of 220 N.
+const SIGMA: f64 = 2.0 / 220.0;
+
+/// Lookahead (s) of an arm, in two digits, as far as nothing else is said.
+pub(super) fn lookahead_s(scale: &Scale) -> f64 {
+    let exact = scale.time_s(LOOKAHEAD);
+    let digits = 1 - exact.log10().floor() as i32;
+    if digits >= 0 { (exact * 10f64.powi(digits)).round() / 10f64.powi(digits) } else { exact.round() }
+}
+
+/// Reads a planner's table for an arm. `given_s` is its lookahead where the file gives one, `period_s` the loop's, `None` in
+/// a scenario; `disk_radius_m` the largest of the arm.
+pub(super) fn read(
+    table: &Section<'_>,
+    given_s: Option<f64>,
+    period_s: Option<f64>,
+    scale: &Scale,
+    disk_radius_m: f64,
+) -> PlannerConfig {
+    let daemon = period_s.is_some();
+    let lookahead_s = given_s.unwrap_or_else(|| {
+        let natural = lookahead_s(scale);
+        period_s.map_or(natural, |period| period * (natural / period).round().max(1.0))
+    });
     let period_key = if period_s.is_some() { "lookahead_s" } else { "period_s" };
     let period_s = period_s.unwrap_or_else(|| table.float_opt("period_s").unwrap_or(lookahead_s));
     if !is_whole_multiple(lookahead_s, period_s) && lookahead_s.is_finite() && period_s.is_finite() {
@@ -299,12 +329,17 @@ pub(super) fn read(table: &Section<'_>, period_s: Option<f64>, disk_radius_m: f6
         table.refuse(period_key, message, "permitted: lookahead = period times 1, 2, 3, ... up to 1000");
     }
     let body_radius_m = table.float_opt("body_radius_m").unwrap_or(disk_radius_m);
+    let activation_m = table.float_opt("barrier_activation_m");
     let barrier = if table.boolean("barrier") {
-        Some(BarrierConfig { gamma: table.float("barrier_gamma"), activation_m: table.float("barrier_activation_m") })
+        Some(BarrierConfig {
+            gamma: table.float("barrier_gamma"),
+            activation_m: activation_m.unwrap_or(ACTIVATION * scale.length_m),
+        })
     } else {
         None
     };
-    let warning_distance_m = table.float("warning_distance_m");
+    let warning_distance_m = table.float_opt("warning_distance_m").unwrap_or(WARNING * scale.length_m);
+    let clearance = if daemon { CLEARANCE * scale.length_m } else { 0.0 };
     PlannerConfig {
         lookahead_s,
         period_s,
@@ -314,11 +349,11 @@ pub(super) fn read(table: &Section<'_>, period_s: Option<f64>, disk_radius_m: f6
         avoidance: table.boolean("avoidance"),
         body: if table.choice("body") == "points" { BodyModel::Points } else { BodyModel::Arm },
         body_radius_m,
-        clearance_m: table.float("clearance_m"),
+        clearance_m: table.float_opt("clearance_m").unwrap_or(clearance),
         warning_distance_m,
-        warning_hysteresis_m: table.float("warning_hysteresis_m"),
+        warning_hysteresis_m: table.float_opt("warning_hysteresis_m").unwrap_or(HYSTERESIS * scale.length_m),
         barrier,
-        swarm: swarm(&table.table("swarm")),
+        swarm: swarm(&table.table("swarm"), scale),
         budget_s: table.float_opt("budget_s"),
         lead_s: table.float_opt("lead_s"),
     }

@@ -165,10 +165,10 @@ pub struct ScenarioConfig {
     pub duration_s: f64,
     /// Seed of every random choice.
     pub seed: u64,
-    /// Weight R on the tensions (one number: R = r I).
-    pub weight_tension: f64,
-    /// Diagonal of W per segment, for all its cables.
-    pub weight_tension_change: Vec<f64>,
+    /// Weight R on the tensions (one number: R = r I); `None` for a ten-thousandth of the least of W.
+    pub weight_tension: Option<f64>,
+    /// Diagonal of W per segment, for all its cables; `None` for a share of what the arm answers with.
+    pub weight_tension_change: Option<Vec<f64>>,
     /// Task.
     pub task: Task,
     /// Start.

@@ -5,6 +5,7 @@ use super::builtin;
 use super::error::ConfigError;
 use super::planner_file::{SCENARIO_PLANNER, WARNINGS, warning};
 use super::reader::{self, Document, Section};
+use super::scale::Scale;
 use super::scenario::{
     HULL_POINTS_MAX, Motion, ObstacleConfig, PublishedFigure, ScenarioConfig, ShapeConfig, Start, SweepRun, Task,
     TipPath, Waypoint,
@@ -18,7 +19,7 @@ const COORDINATES: Kind = Kind::Floats(Length::Exactly(3), Range::closed(-1000.0
 const SIZE: Kind = Kind::Float(Range::above(0.0, 1000.0));
 const SECONDS: Kind = Kind::Float(Range::above(0.0, 1e5));
 const TIME: Kind = Kind::Float(Range::closed(0.0, 1e5));
-const CURVATURES: Kind = Kind::Floats(Length::Between(2, 16), Range::closed(-100.0, 100.0));
+const CURVATURES: Kind = Kind::Floats(Length::Between(2, 32), Range::closed(-1e4, 1e4));
 const NO_TURN: &str = "[1.0, 0.0, 0.0, 0.0]";
 
 /// The root of a scenario file.
@@ -37,8 +38,20 @@ pub static SCENARIO: TableSpec = TableSpec {
         ),
         Key::required("duration_s", SECONDS, "s", "Length of the run."),
         Key::default("seed", Kind::Integer(0, i64::MAX), "", "1", "Seed of every random choice."),
-        Key::default("weight_tension", POSITIVE_WEIGHT, "1/N^2", "1.0", "R = r I."),
-        Key::required("weight_tension_change", SEGMENT_WEIGHTS, "1/N^2", "Diagonal of W, one number per segment."),
+        Key::optional(
+            "weight_tension",
+            POSITIVE_WEIGHT,
+            "1/N^2",
+            "1.0; without `weight_tension_change` 1e-4 of the least of W",
+            "R = r I.",
+        ),
+        Key::optional(
+            "weight_tension_change",
+            SEGMENT_WEIGHTS,
+            "1/N^2",
+            "3e-4 of the diagonal of S^T Q S at the start of the straight arm",
+            "Diagonal of W, one number per segment; S is what the outputs answer a tension with over the lookahead.",
+        ),
         Key::required("task", Kind::Table(&TASK), "", "What the arm is asked to do."),
         Key::required("start", Kind::Table(&START), "", "How it stands at t = 0."),
         Key::optional("obstacles", Kind::Tables(Length::Between(0, 64), &OBSTACLE), "", "none", "Obstacles."),
@@ -160,7 +173,7 @@ static START: TableSpec = TableSpec {
         ),
         Key::required(
             "tensions_n",
-            Kind::Floats(Length::Between(3, 96), Range::closed(0.0, 1e5)),
+            Kind::Floats(Length::Between(1, 96), Range::closed(0.0, 1e5)),
             "N",
             "One per cable, inside the arm's tension box (tensions).",
         ),
@@ -327,7 +340,7 @@ impl ScenarioConfig {
             return Self::load(path);
         }
         match builtin::scenario(name) {
-            Some(text) => Self::parse(&format!("config/scenarios/{name}.toml (built in)"), text),
+            Some((path, text)) => Self::parse(&path, text),
             None => Err(builtin::no_such_scenario(name)),
         }
     }
@@ -338,9 +351,20 @@ fn build(document: &Document<'_>) -> ScenarioConfig {
     let arm = arm(document, &root);
     let segments = arm.segments.len();
     let duration_s = root.float("duration_s");
-    let weight_tension_change = root.floats("weight_tension_change");
-    refuse_other_length(&root, "weight_tension_change", weight_tension_change.len(), segments, "one per segment");
+    let weight_tension_change = root.floats_opt("weight_tension_change");
+    if let Some(change) = &weight_tension_change {
+        refuse_other_length(&root, "weight_tension_change", change.len(), segments, "one per segment");
+    }
+    let weight_tension = root.float_opt("weight_tension").or(weight_tension_change.as_ref().map(|_| 1.0));
     let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
+    let planner_table = root.table("planner");
+    let planner = planner_file::read(
+        &planner_table,
+        planner_table.float_opt("lookahead_s"),
+        None,
+        &Scale::of(&arm),
+        disk_radius_m,
+    );
     let mut obstacles: Vec<ObstacleConfig> = Vec::new();
     for section in root.tables("obstacles", None) {
         let next = obstacle(&section);
@@ -363,12 +387,12 @@ fn build(document: &Document<'_>) -> ScenarioConfig {
         name: root.text("name"),
         duration_s,
         seed: root.integer("seed").unsigned_abs(),
-        weight_tension: root.float("weight_tension"),
+        weight_tension,
         weight_tension_change,
         task,
         start,
         obstacles,
-        planner: planner_file::read(&root.table("planner"), None, disk_radius_m),
+        planner,
         figures: root.tables("figures", None).iter().map(figure).collect(),
         sweep: root.tables("sweep", None).iter().map(|section| sweep(section, duration_s)).collect(),
         arm,
@@ -378,7 +402,11 @@ fn build(document: &Document<'_>) -> ScenarioConfig {
 fn arm(document: &Document<'_>, root: &Section<'_>) -> ArmConfig {
     let Some(file) = root.text_opt("arm") else { return ArmConfig::paper() };
     let path = root.directory().join(file);
-    match ArmConfig::load(&path) {
+    let read = match builtin::arm_text(&path) {
+        Some(text) if !path.is_file() => ArmConfig::parse(&format!("{} (built in)", path.display()), text),
+        _ => ArmConfig::load(&path),
+    };
+    match read {
         Ok(arm) => arm,
         Err(error) => {
             document.note_all(error);
@@ -392,6 +420,12 @@ fn task(table: &Section<'_>, arm: &ArmConfig, duration_s: f64) -> Task {
         let curvatures_1pm = table.floats("curvatures_1pm");
         let wanted = 2 * arm.segments.len();
         refuse_other_length(table, "curvatures_1pm", curvatures_1pm.len(), wanted, "two per segment");
+        if table.is_clean()
+            && let Some((segment, why)) = beyond_cables(arm, &curvatures_1pm)
+        {
+            let help = "permitted: curvatures to sides that the segment's cables can bend it to, others 0";
+            table.refuse("curvatures_1pm", format!("segment {}: {why}", segment + 1), help);
+        }
         let weight_end = table.float("weight_end");
         let weight_slope = table.float("weight_slope");
         let end_s = table.float_opt("end_s").unwrap_or(duration_s);
@@ -411,6 +445,33 @@ fn task(table: &Section<'_>, arm: &ArmConfig, duration_s: f64) -> Task {
         weight_damping: table.float("weight_damping"),
     }
 }
+
+/// The first segment whose own cables cannot hold its curvature (1/m) at all, and why not.
+fn beyond_cables(arm: &ArmConfig, curvatures: &[f64]) -> Option<(usize, String)> {
+    arm.segments.iter().zip(curvatures.chunks_exact(2)).enumerate().find_map(|(index, (segment, k))| {
+        let size = k[0].hypot(k[1]);
+        // A tension at hole (y, z) gives the moment (-z, y).
+        let moments: Vec<[f64; 2]> = segment.hole_angles_rad.iter().map(|a| [-a.sin(), a.cos()]).collect();
+        let wanted = [k[0] / size, k[1] / size];
+        let cross = |a: &[f64; 2], b: &[f64; 2]| a[0] * b[1] - a[1] * b[0];
+        let in_line = |m: &[f64; 2]| cross(m, &wanted).abs() < IN_LINE && m[0] * wanted[0] + m[1] * wanted[1] > 0.0;
+        // Between two of them: a sum of both with shares of at least 0.
+        let between = |a: &[f64; 2], b: &[f64; 2]| {
+            let d = cross(a, b);
+            d > IN_LINE && cross(&wanted, b) >= -IN_LINE * d && cross(a, &wanted) >= -IN_LINE * d
+        };
+        let held =
+            size == 0.0 || moments.iter().any(in_line) || moments.iter().any(|a| moments.iter().any(|b| between(a, b)));
+        let count = moments.len();
+        (!held).then(|| {
+            let cables = if count == 1 { "its one cable does".to_owned() } else { format!("its {count} cables do") };
+            (index, format!("{cables} not bend it that way"))
+        })
+    })
+}
+
+/// Sine of an angle below which two directions count as one.
+const IN_LINE: f64 = 1e-3;
 
 fn path(table: &Section<'_>, duration_s: f64) -> TipPath {
     if table.choice("kind") == "waypoints" {
@@ -447,7 +508,8 @@ fn start(table: &Section<'_>, arm: &ArmConfig) -> Start {
         "tensions" => {
             let tensions = table.floats("tensions_n");
             refuse_other_length(table, "tensions_n", tensions.len(), arm.cable_count(), "one per cable");
-            if tensions.iter().any(|tension| !(arm.tension_n_min..=arm.tension_n_max).contains(tension)) {
+            let maxima = arm.tension_maxima_n();
+            if tensions.iter().zip(&maxima).any(|(tension, most)| !(arm.tension_n_min..=*most).contains(tension)) {
                 let help = format!("permitted: {} to {} N each", arm.tension_n_min, arm.tension_n_max);
                 table.refuse("tensions_n", "outside the arm's tension box", &help);
             }
@@ -539,6 +601,20 @@ fn sweep(section: &Section<'_>, duration_s: f64) -> SweepRun {
         warning: section.choice_opt("warning").map(warning),
         window_s,
     }
+}
+
+/// Text of the arm's file that a scenario names, as [`ScenarioConfig::find`] finds the scenario; `None` where it names none and
+/// the built-in arm is meant, or cannot be read.
+pub fn arm_text_of(scenario: &str) -> Option<String> {
+    let path = Path::new(scenario);
+    let (place, text) = if path.is_file() {
+        (scenario.to_owned(), std::fs::read_to_string(path).ok()?)
+    } else {
+        builtin::scenario(scenario).map(|(place, text)| (place, text.to_owned()))?
+    };
+    let tables: toml::Table = text.parse().ok()?;
+    let file = Path::new(&place).parent()?.join(tables.get("arm")?.as_str()?);
+    std::fs::read_to_string(&file).ok().or_else(|| builtin::arm_text(&file).map(str::to_owned))
 }
 
 /// The arm that `[arm]` of an opened document describes, for programs whose files hold further tables.

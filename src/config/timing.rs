@@ -1,6 +1,7 @@
 //! `[loop]`: the control thread's period, scheduling and what it does when it is late.
 
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
@@ -44,11 +45,11 @@ pub static LOOP: TableSpec = TableSpec {
     name: "loop",
     about: "The control thread: its period, its scheduling, and what happens when it is late.",
     keys: &[
-        Key::default(
+        Key::optional(
             "period_s",
             Kind::Float(Range::closed(0.001, 0.1)),
             "s",
-            "0.01",
+            "a tenth of the lookahead, and what one classic bus carries",
             "Period. The planner's lookahead must be a whole multiple of it.",
         ),
         Key::optional(
@@ -119,9 +120,27 @@ pub static LOOP: TableSpec = TableSpec {
     ],
 };
 
-/// Reads `[loop]`.
-pub(super) fn read(table: &Section<'_>) -> LoopConfig {
-    let period_s = table.float("period_s");
+/// Periods that a loop has where none is given (s).
+const PERIODS_S: &[f64] = &[0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.02, 0.025, 0.04, 0.05, 0.1];
+/// Periods of a lookahead.
+const PERIODS_OF_LOOKAHEAD: f64 = 10.0;
+/// Time that one cable's frames take on a classic bus of 1 Mbit/s that is loaded by 70 % (s); see `sinew check`.
+const CABLE_S: f64 = 0.00035;
+
+/// The period of a loop for an arm that plans so far ahead (s): a tenth of it where one classic bus carries the arm's
+/// cables so often.
+fn default_period_s(scale: &Scale, lookahead_s: f64) -> f64 {
+    let wanted = (lookahead_s / PERIODS_OF_LOOKAHEAD).max(CABLE_S * scale.cables as f64);
+    // The next longer one only where the next shorter one is too short for the bus.
+    let least = CABLE_S * scale.cables as f64;
+    let shorter = PERIODS_S.iter().rev().find(|p| **p <= wanted * (1.0 + 1e-2) && **p >= least);
+    let longer = || PERIODS_S.iter().find(|p| **p >= wanted);
+    shorter.or_else(longer).copied().unwrap_or(0.1)
+}
+
+/// Reads `[loop]` for an arm whose planner looks so far ahead (s).
+pub(super) fn read(table: &Section<'_>, scale: &Scale, lookahead_s: f64) -> LoopConfig {
+    let period_s = table.float_opt("period_s").unwrap_or_else(|| default_period_s(scale, lookahead_s));
     // Rounded first: 0.02 s are 20 periods of 1 ms, not 20 and a bit.
     let periods = |seconds: f64| (seconds / period_s).round() as usize;
     let config = LoopConfig {

@@ -16,10 +16,12 @@ pub struct WeightsConfig {
 /// Weights for tip targets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TipWeights {
-    /// R = r I.
-    pub tension: f64,
-    /// Diagonal of W per segment.
-    pub tension_change: Vec<f64>,
+    /// R = r I; `None` for a ten-thousandth of the least of W.
+    pub tension: Option<f64>,
+    /// Diagonal of W per segment; `None` for `change_ratio` times what the arm answers with.
+    pub tension_change: Option<Vec<f64>>,
+    /// Diagonal of W over that of `S^T Q S`, S what the outputs answer a tension with over the lookahead.
+    pub change_ratio: f64,
     /// Tip position and quaternion.
     pub pose: f64,
     /// Their rates.
@@ -42,13 +44,13 @@ pub struct ShapeWeights {
 pub(super) const WEIGHT: Kind = Kind::Float(Range::closed(0.0, 1e20));
 pub(super) const POSITIVE_WEIGHT: Kind = Kind::Float(Range::above(0.0, 1e20));
 /// W per segment.
-pub(super) const SEGMENT_WEIGHTS: Kind = Kind::Floats(Length::Between(1, 8), Range::closed(0.0, 1e20));
+pub(super) const SEGMENT_WEIGHTS: Kind = Kind::Floats(Length::Between(1, 16), Range::closed(0.0, 1e20));
 
 /// `[weights]`.
 pub static WEIGHTS: TableSpec = TableSpec {
     header: "[weights]",
     name: "weights",
-    about: "Weights of the cost (15) in the daemon; the defaults are the paper's. `W` is meant for period = lookahead and is scaled by lookahead/period. The loop steers mean curvatures with the weights `tension`, `tension_change`, `pose` and `rate` of `[weights.tip]`, for every kind of target.",
+    about: "Weights of the cost (15) in the daemon; the defaults are computed from the arm. `W` is meant for period = lookahead and is scaled by lookahead/period. The loop steers mean curvatures with the weights `tension`, `tension_change`, `pose` and `rate` of `[weights.tip]`, for every kind of target.",
     keys: &[
         Key::optional("tip", Kind::Table(&TIP), "", "its defaults", "For tip targets."),
         Key::optional("shape", Kind::Table(&SHAPE), "", "its defaults", "For shape targets."),
@@ -60,16 +62,29 @@ static TIP: TableSpec = TableSpec {
     name: "tip",
     about: "Weights for tip targets, (42).",
     keys: &[
-        Key::default("tension", POSITIVE_WEIGHT, "1/N^2", "1.0", "R = r I."),
+        Key::optional("tension", POSITIVE_WEIGHT, "1/N^2", "1e-4 of the least `tension_change`", "R = r I."),
         Key::optional(
             "tension_change",
             SEGMENT_WEIGHTS,
             "1/N^2",
-            "1e4, 2e4, 3e4, ...",
+            "`change_ratio` of the arm's own",
             "Diagonal of W, one number per segment.",
         ),
+        Key::default(
+            "change_ratio",
+            Kind::Float(Range::above(0.0, 1e6)),
+            "",
+            "1e-3",
+            "Where `tension_change` is absent: W over the diagonal of S^T Q S, which says how strongly a segment's bends answer its cables within the lookahead.",
+        ),
         Key::default("pose", POSITIVE_WEIGHT, "1/m^2, 1", "5e12", "Tip position and quaternion."),
-        Key::default("rate", WEIGHT, "s^2/m^2, s^2", "5e10", "Their rates."),
+        Key::optional(
+            "rate",
+            WEIGHT,
+            "s^2/m^2, s^2",
+            "`pose` times the lookahead squared",
+            "Their rates: the loop follows with a lag of rate / (pose lookahead).",
+        ),
         Key::default("damping", WEIGHT, "s^2/m^2, s^2", "1e8", "Rates of all other nodes; not used by the loop."),
     ],
 };
@@ -91,32 +106,32 @@ static SHAPE: TableSpec = TableSpec {
     ],
 };
 
-/// Reads `[weights]` for an arm of so many segments.
-pub(super) fn read(table: &Section<'_>, segments: usize) -> WeightsConfig {
+/// Reads `[weights]` for an arm of so many segments and a lookahead (s).
+pub(super) fn read(table: &Section<'_>, segments: usize, lookahead_s: f64) -> WeightsConfig {
     let tip = table.table("tip");
     let shape = table.table("shape");
-    let tip_change = change(&tip, segments, |s| 1e4 * (s + 1) as f64);
-    let shape_change = change(&shape, segments, |_| 2e6);
+    let pose = tip.float("pose");
     WeightsConfig {
         tip: TipWeights {
-            tension: tip.float("tension"),
-            tension_change: tip_change,
-            pose: tip.float("pose"),
-            rate: tip.float("rate"),
+            tension: tip.float_opt("tension"),
+            tension_change: change(&tip, segments),
+            change_ratio: tip.float("change_ratio"),
+            pose,
+            rate: tip.float_opt("rate").unwrap_or(pose * lookahead_s * lookahead_s),
             damping: tip.float("damping"),
         },
         shape: ShapeWeights {
             tension: shape.float("tension"),
-            tension_change: shape_change,
+            tension_change: change(&shape, segments).unwrap_or_else(|| vec![2e6; segments]),
             curvature: shape.float("curvature"),
         },
     }
 }
 
-fn change(table: &Section<'_>, segments: usize, default: impl Fn(usize) -> f64) -> Vec<f64> {
-    let weights = table.floats_opt("tension_change").unwrap_or_else(|| (0..segments).map(default).collect());
+fn change(table: &Section<'_>, segments: usize) -> Option<Vec<f64>> {
+    let weights = table.floats_opt("tension_change")?;
     refuse_other_length(table, "tension_change", weights.len(), segments, "one per segment");
-    weights
+    Some(weights)
 }
 
 /// Refuses an array whose length does not fit the arm.

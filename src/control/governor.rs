@@ -7,7 +7,7 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
-use crate::config::{ArmConfig, GovernorConfig, PlannerConfig};
+use crate::config::{ArmConfig, GovernorConfig, PlannerConfig, Scale};
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
 use crate::posture::{
@@ -71,10 +71,14 @@ const PEAK_ACCELERATION: f64 = 5.774;
 #[derive(Debug)]
 pub struct Governor {
     settings: GovernorConfig,
+    /// Time constants (s) of the mean that a swing goes about, of the answer to it, and of the way back.
+    mean_s: f64,
+    fade_s: f64,
+    approach_s: f64,
     /// A target that moves by more than this at once is a step (m).
     step_m: f64,
-    /// Range of the cables' tensions (N).
-    tension_range_n: f64,
+    /// Range of the tensions of each segment's cables (N).
+    tension_range_n: Vec<f64>,
     inverse: Inverse,
     /// Length of the segment of each curvature (m).
     length: Vec<f64>,
@@ -128,9 +132,11 @@ pub struct Governor {
 impl Governor {
     /// For an arm. Allocates.
     pub fn new(arm: &Arm, config: &ArmConfig, settings: &GovernorConfig, planner: &PlannerConfig) -> Self {
+        let scale = Scale::of(config);
         let tension_n = config.tension_n_min;
         let inverse = InverseSettings { attitude_length_m: settings.attitude_length_m, ..InverseSettings::default() };
-        let tension_range_n = config.tension_n_max - config.tension_n_min;
+        let tension_range_n: Vec<f64> =
+            config.segments.iter().map(|s| s.tension_n_max - config.tension_n_min).collect();
         let around = ReferenceSettings {
             clearance_m: planner.clearance_m + AHEAD_OF_PLANNER * config.length_m(),
             approach_1ps: settings.approach_1ps,
@@ -139,12 +145,15 @@ impl Governor {
             evasion_mps2: settings.evasion_mps2,
             withdrawal_mps: settings.speed_mps,
             quiet_mps: QUIET * config.length_m(),
-            tension_range_n,
+            tension_range_n: tension_range_n.clone(),
         };
         let count = 2 * arm.segment_count();
         let length = segment_lengths(arm);
         Self {
             settings: *settings,
+            mean_s: scale.time_s(MEAN),
+            fade_s: scale.time_s(FADE),
+            approach_s: scale.time_s(APPROACH),
             step_m: STEP * config.length_m(),
             tension_range_n,
             inverse: Inverse::new(arm, &inverse),
@@ -209,9 +218,9 @@ impl Governor {
     /// energy out of it, whatever its modes. What is constant in `s` is the model's error, no swing, and is left out.
     fn damp(&mut self, h: f64) {
         for i in 0..self.swing.len() {
-            self.mean[i] += h / MEAN_S * (self.swing[i] - self.mean[i]);
+            self.mean[i] += h / self.mean_s * (self.swing[i] - self.mean[i]);
             let push = self.settings.swing_damping_1ps * (self.swing[i] - self.mean[i]);
-            self.answer[i] += h * (push - self.answer[i] / FADE_S);
+            self.answer[i] += h * (push - self.answer[i] / self.fade_s);
         }
     }
 
@@ -336,12 +345,19 @@ impl Governor {
     }
 
     fn follow_shape(&mut self, kappa: &[f64]) {
-        let step = self.bend_between(&self.goal, kappa);
+        let moved = |i: usize| self.reference.rest().is_moved(i);
+        let step = (0..kappa.len())
+            .filter(|i| moved(*i))
+            .map(|i| (self.goal[i] - kappa[i]).abs() * self.length[i])
+            .fold(0.0, f64::max);
         let new = self.kind != Kind::Shape || step > STEP_RAD;
         self.kind = Kind::Shape;
         self.solving = None;
         self.outcome = None;
-        self.goal.copy_from_slice(kappa);
+        for i in 0..self.goal.len() {
+            // What no cable moves is left as it is.
+            self.goal[i] = if self.reference.rest().is_moved(i) { kappa[i] } else { self.reference()[i] };
+        }
         if new {
             self.begin(None);
         }
@@ -400,8 +416,11 @@ impl Governor {
                         // A posture beyond the cables' tensions is none.
                         let mut load = 0.0f64;
                         for segment in 0..self.joints.len() {
-                            load =
-                                load.max(self.inverse.rest().load_into(segment, self.tension_range_n, &mut self.drift));
+                            load = load.max(self.inverse.rest().load_into(
+                                segment,
+                                self.tension_range_n[segment],
+                                &mut self.drift,
+                            ));
                         }
                         let over = OVERLOAD * self.settings.reach_m * (load - 1.0).max(0.0);
                         let error = outcome.position_m + 0.1 * outcome.attitude_rad + over;
@@ -595,7 +614,7 @@ impl Governor {
             let at = self.reference.rest().tip();
             let lacks = pose_error(&at, &self.last.0, &self.last.1);
             let moved = pose_error(&(self.position, self.quaternion), &self.last.0, &self.last.1);
-            let share = (h / APPROACH_S).min(1.0);
+            let share = (h / self.approach_s).min(1.0);
             let gap = Vector3::new(lacks[0], lacks[1], lacks[2]).norm();
             let turn = Vector3::new(lacks[3], lacks[4], lacks[5]).norm();
             let least = |size: f64, most: f64| if share * size > most { most / size } else { share };
@@ -610,7 +629,7 @@ impl Governor {
         } else {
             // Back to the path as slowly as anywhere.
             let lacks = self.bend_between(kappa, &self.before_desired);
-            let share = (h / APPROACH_S).min(1.0);
+            let share = (h / self.approach_s).min(1.0);
             let most = self.settings.bend_rate_radps * h;
             let back = if share * lacks > most { most / lacks } else { share };
             for i in 0..self.drift.len() {
@@ -640,12 +659,11 @@ impl Governor {
 
 /// Time constant with which another pace is taken on (s).
 const PACE_S: f64 = 0.3;
-/// Time constant of the mean that a swing goes about (s).
-const MEAN_S: f64 = 3.0;
-/// Time constant with which the answer to a swing fades (s).
-const FADE_S: f64 = 2.0;
-/// Time constant with which the reference makes up for what it lacks (s).
-const APPROACH_S: f64 = 1.0;
+/// Over the inverse of the first angular frequency: time constants of the mean that a swing goes about, with which the answer
+/// to a swing fades, and with which the reference makes up for what it lacks.
+const MEAN: f64 = 2.35;
+const FADE: f64 = 1.57;
+const APPROACH: f64 = 0.78;
 /// Time after which a path that is blocked is given up for the target itself (s).
 const GIVE_UP_S: f64 = 1.0;
 /// A posture is reached within this (rad of bend).

@@ -16,6 +16,7 @@
 //! [`Cycle::tensions_n`]; [`Cycle::report`]; hand the [`Record`] and the events over.
 
 pub mod budget;
+mod causes;
 pub mod cycle;
 pub mod estimator;
 pub mod event;
@@ -28,11 +29,13 @@ pub mod overruns;
 pub mod ramp;
 pub mod record;
 pub mod settings;
+mod steering;
 pub mod supervision;
 pub mod supervisor;
 pub mod target;
 
 pub use budget::{Budget, Phase, StopWatch};
+pub use causes::{doubts, likely_cause};
 pub use cycle::{Cycle, Plan, TickInputs, TickOutput};
 pub use estimator::{Estimate, Estimator, EstimatorFailure};
 pub use event::{Event, EventKind, EventRing};
@@ -42,13 +45,14 @@ pub use guard::{EncoderReadings, TensionVerdict};
 pub use obstacles::{ObstacleDemand, ObstaclePair};
 pub use record::{Distance, Record, Timing};
 pub use settings::Settings;
+pub use steering::{Steering, weights_in_words};
 pub use supervisor::{Answer, Cause, DrivesCommand, DrivesInput, DrivesPhase, Mode, Refusal, Request, Supervisor};
 pub use target::{Target, TargetInput};
 
 /// Most cables of an arm: the width of every array of a record.
 pub const CABLES_MAX: usize = 96;
-/// Most average curvatures: two for each of eight segments.
-pub const CURVATURES_MAX: usize = 16;
+/// Most average curvatures: two for each of sixteen segments.
+pub const CURVATURES_MAX: usize = 32;
 /// Most nodes in a record; a longer arm is recorded with a stride.
 pub const NODES_MAX: usize = 64;
 

@@ -31,8 +31,8 @@ pub struct Settings {
     pub start_tensions_n: Vec<f64>,
     /// Home: average curvatures (1/m), (y, z) segment by segment; the straight arm unless told otherwise.
     pub home_curvatures_1pm: Vec<f64>,
-    /// Home is reached when every curvature is this near (1/m); the closed loop's own error there is about 0.02.
-    pub home_tolerance_1pm: f64,
+    /// Home is reached when every bend angle is this near (rad); the closed loop's own error there is about 0.01.
+    pub home_tolerance_rad: f64,
     /// Planning steps that may fail in a row before it is a fault; the last tensions are kept meanwhile.
     pub singular_plans_max: u32,
 }
@@ -67,7 +67,7 @@ impl Settings {
         Self {
             start_tensions_n: vec![arm.tension_n_min; arm.cable_count()],
             home_curvatures_1pm: vec![0.0; 2 * arm.segments.len()],
-            home_tolerance_1pm: 0.05,
+            home_tolerance_rad: 0.0325,
             singular_plans_max: 5,
             arm,
             timing,

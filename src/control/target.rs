@@ -11,6 +11,7 @@ pub const LAG_S_MAX: f64 = 1.0;
 
 /// A desired output with its rates.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "the control thread copies it and never allocates")]
 pub enum Target {
     /// Pose of the tip.
     Tip {

@@ -493,13 +493,13 @@ fn bus_handles(config: &Config) -> Result<(Handles, Handles), DaemonError> {
 fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError> {
     let mut settings = Settings::new(config);
     let Some(tensions) = &options.start_tensions_n else { return Ok(settings) };
-    let (cables, low, high) = (config.arm.cable_count(), config.arm.tension_n_min, config.arm.tension_n_max);
+    let (cables, low, high) = (config.arm.cable_count(), config.arm.tension_n_min, config.arm.tension_maxima_n());
     if tensions.len() != cables {
         let why = format!("{} numbers for {cables} cables", tensions.len());
         return Err(DaemonError::StartTensions { why });
     }
-    if let Some(cable) = tensions.iter().position(|t| !(low..=high).contains(t)) {
-        let why = format!("{} N of cable {cable} is outside {low} to {high} N", tensions[cable]);
+    if let Some(cable) = tensions.iter().zip(&high).position(|(t, high)| !(low..=*high).contains(t)) {
+        let why = format!("{} N of cable {cable} is outside {low} to {} N", tensions[cable], high[cable]);
         return Err(DaemonError::StartTensions { why });
     }
     settings.start_tensions_n.clone_from(tensions);

@@ -3,8 +3,8 @@
 use super::obstacles::{PairReader, unkey};
 use crate::control::{Answer, Cause, Event, EventKind, Fault, Limit, Mode, Record, Refusal, Request, Target, Timing};
 use crate::ipc::payload::{
-    MAX_TRACKED, ObstacleDistance, PlannerBranch, PlannerStatus, RefusalReason, RequestKind, State, SupervisorState,
-    TargetMode, TickTiming,
+    MAX_CURVATURES, MAX_TRACKED, ObstacleDistance, PlannerBranch, PlannerStatus, RefusalReason, RequestKind, State,
+    SupervisorState, TargetMode, TickTiming,
 };
 use crate::ipc::{Command, Reply};
 use crate::planner::{Branch, Status};
@@ -215,7 +215,7 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
     state.tip_angular_velocity_radps = record.tip_angular_velocity_radps;
     state.target_position_m = [f64::NAN; 3];
     state.target_quaternion = [f64::NAN; 4];
-    state.target_curvature_1pm = [f64::NAN; 16];
+    state.target_curvature_1pm = [f64::NAN; MAX_CURVATURES];
     match record.target {
         Some(Target::Tip { position_m, quaternion, .. }) => {
             state.target_position_m = position_m.into();

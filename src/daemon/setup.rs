@@ -74,7 +74,7 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
     let arm = Arm::new(&config.arm);
     let mut lengths = vec![0.0; arm.cable_count()];
     arm.cable_lengths_into(&arm.straight(), &mut lengths);
-    let channel = |(drive, length): (&DriveConfig, f64)| {
+    let channel = |((drive, length), tension_n_max): ((&DriveConfig, f64), f64)| {
         let channel = MotorChannel {
             drum_radius_m: drive.drum_radius_m,
             gear_ratio: drive.gear_ratio,
@@ -83,7 +83,7 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
             counts_per_turn: f64::from(drive.counts_per_turn),
             // The lower end of the box is the planner's business; cables are slack while the drives come up.
             tension_n_min: 0.0,
-            tension_n_max: config.arm.tension_n_max,
+            tension_n_max,
             home_counts: 0,
             home_length_m: length,
             // From all of it pulled in to as much again paid out.
@@ -91,7 +91,9 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
         };
         (channel, torque_permille_max(drive))
     };
-    Ok(MotorBank::new(config.drives.drives.iter().zip(lengths).map(channel).collect())?)
+    Ok(MotorBank::new(
+        config.drives.drives.iter().zip(lengths).zip(config.arm.tension_maxima_n()).map(channel).collect(),
+    )?)
 }
 
 /// What the drive is said to permit (per mille of its rated torque).
@@ -114,13 +116,13 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let sync_timeout_us = microseconds(drives.sync_timeout_s);
     let may_lack = |protection| drives.accept_without.contains(&protection);
     let mut setups = Vec::with_capacity(drives.drives.len());
-    for drive in &drives.drives {
+    for (drive, tension_n_max) in drives.drives.iter().zip(config.arm.tension_maxima_n()) {
         let node = NodeId::new(drive.node_id).map_err(|_| DaemonError::NodeId { found: drive.node_id })?;
         let permille_per_n = 1000.0 * drive.torque_nm(1.0) / drive.rated_torque_nm;
         let safe = f64::from(drive.sign) * (drives.safe_tension_n * permille_per_n).round();
         let safe = safe.clamp(f64::from(i16::MIN), f64::from(i16::MAX)) as i16;
         // From the largest torque to zero in the time given.
-        let limit = torque_permille_limit(drive, config.arm.tension_n_max);
+        let limit = torque_permille_limit(drive, tension_n_max);
         let slope = f64::from(limit) / drives.safe_ramp_s.max(1e-3);
         let mut setup = DriveSetup::new(drive.bus, node);
         setup.rated_torque_mnm = Some((1000.0 * drive.rated_torque_nm).round() as u32);

@@ -6,8 +6,8 @@ use crate::collision::Shape;
 use crate::config::{Config, ShapeConfig};
 use crate::control::obstacles::Placement;
 use crate::control::{
-    CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request, Settings,
-    Target, TargetInput, TickInputs,
+    CURVATURES_MAX, CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair,
+    Request, Settings, Target, TargetInput, TickInputs,
 };
 use crate::estimator::Observer;
 use crate::model::Arm;
@@ -50,7 +50,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
         velocity_mps: still,
         angular_velocity_radps: still,
     };
-    let shape_target = Target::Shape { curvatures_1pm: [0.1; 16], rates_1pms: [0.0; 16] };
+    let shape_target = Target::Shape { curvatures_1pm: [0.1; CURVATURES_MAX], rates_1pms: [0.0; CURVATURES_MAX] };
 
     let free = ObstaclePair::new();
     let mut beside = ObstaclePair::new();

@@ -125,7 +125,9 @@ impl CableSpace {
         }
         for i in 0..n {
             // The full arm's own diagonal: an angle with one cable left must not look regular beside itself.
-            let whole: f64 = self.jacobian.chunks_exact(n).map(|row| row[i] * row[i]).sum();
+            // Of the better of the two to its segment: cables in one line tell the other by rounding alone.
+            let of = |i: usize| self.jacobian.chunks_exact(n).map(|row| row[i] * row[i]).sum::<f64>();
+            let whole = of(i).max(of(i ^ 1));
             for k in 0..i {
                 let s: f64 = (0..k).map(|j| self.gram[i * n + j] * self.gram[k * n + j]).sum();
                 let pivot = self.gram[k * n + k];

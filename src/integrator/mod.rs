@@ -3,10 +3,12 @@
 //! Enters: an arm, a state, tensions. Leaves: the next state, and the affine map (11) on which the planner optimises.
 //! It never chooses tensions, and a step never allocates.
 
+mod modes;
 mod scheme;
 mod statics;
 mod step;
 
+pub use modes::{Mode, modes};
 pub use scheme::Scheme;
 pub use statics::{StaticsError, consistent_start, equilibrium};
 pub use step::{AffineMap, StepError, StepReport, Stepper};

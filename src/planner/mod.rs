@@ -8,12 +8,14 @@ mod combined;
 pub mod complementarity;
 mod deadline;
 mod problem;
+mod sensitivity;
 mod start;
 pub mod swarm;
 
 pub use combined::{Branch, Inputs, PAIRS_MAX, Planner, Report, Status};
 pub use deadline::Deadline;
 pub use problem::{Goal, Quadratic};
+pub use sensitivity::sensitivity;
 pub use start::{StartError, tip_start};
 
 use crate::config::PlannerConfig;

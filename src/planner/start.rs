@@ -12,7 +12,8 @@ use nalgebra::{Vector3, Vector4};
 pub enum StartError {
     /// The iteration ended away from the pose.
     #[error(
-        "no equilibrium with the tip at the wanted pose was found: {distance:.4} m from it after {iterations} iterations"
+        "no equilibrium with the tip at the wanted pose was found: {} mm from it after {iterations} iterations",
+        1e3 * distance
     )]
     PoseNotReached {
         /// Distance of the tip from the wanted position (m).
@@ -25,8 +26,12 @@ pub enum StartError {
     Statics(#[from] StaticsError),
 }
 
-/// A weight that makes the pose a constraint beside tensions of 100 N: it leaves about 1e-8 m.
-const POSE_WEIGHT: f64 = 1e13;
+/// A weight that makes the pose a constraint: over the largest tension's square and the arm's length, 1.5e9 leaves about 4e-9
+/// of the length.
+const POSE_WEIGHT: f64 = 1.5e9;
+/// Largest error of the position over the arm's length, and change of a tension over the largest, where it has ended.
+const POSITION: f64 = 4e-7;
+const TENSION: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 400;
 
 /// Finds tensions and state from the guess in `state`, which chooses among the arm's branches. Allocates.
@@ -53,7 +58,11 @@ pub fn tip_start(
     let mut u = lower.to_vec();
     let mut wanted = u.clone();
     let still = vec![0.0; nc];
-    let goal = Goal::Tip { position, quaternion, pose: POSE_WEIGHT, rate: 0.0, damping: 0.0 };
+    let length: f64 = arm.elements.iter().map(|e| e.length + e.connector).sum();
+    let largest_n = upper.iter().copied().fold(0.0, f64::max);
+    // The quaternion's rows weigh as much as the position's, in units of the length; both in units of the tensions.
+    let pose = POSE_WEIGHT * (largest_n / length).powi(2);
+    let goal = Goal::Tip { position, quaternion, pose, rate: 0.0, damping: 0.0 };
     let mut iterations = 0;
     loop {
         iterations += 1;
@@ -75,13 +84,13 @@ pub fn tip_start(
         dx.iter_mut().for_each(|x| *x *= share);
         u.iter_mut().zip(&wanted).for_each(|(u, w)| *u += share * (w - *u));
         stepper.apply(&dx, Rates::STATIC, state);
-        if share == 1.0 && largest < 1e-10 && change < 1e-7 {
+        if share == 1.0 && largest < 1e-10 && change < TENSION * largest_n {
             break;
         }
     }
     equilibrium(arm, &mut stepper, &u, state)?;
     let distance = (arm.tip(&state.q, &state.qd).position - position).norm();
-    if distance > 1e-6 {
+    if distance > POSITION * length {
         return Err(StartError::PoseNotReached { distance, iterations });
     }
     Ok(u)

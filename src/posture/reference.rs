@@ -24,7 +24,7 @@ use crate::planner::complementarity::{Problem, Solver, exact_price};
 use nalgebra::Vector3;
 
 /// Limits of a reference.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceSettings {
     /// Distance kept between surfaces (m).
     pub clearance_m: f64,
@@ -41,8 +41,8 @@ pub struct ReferenceSettings {
     /// Root mean square speed of the arm's mass up to which the tip keeps its task (m/s): what an obstacle asks for beyond it
     /// costs the task, for a posture that turns over itself to hold a tip still swings.
     pub quiet_mps: f64,
-    /// Range of the cables' tensions that a posture may need (N).
-    pub tension_range_n: f64,
+    /// Range of the tensions of each segment's cables that a posture may need (N).
+    pub tension_range_n: Vec<f64>,
 }
 
 /// What a step is to do.
@@ -84,36 +84,38 @@ pub struct Met {
 
 /// Loads are looked at when less than this share is left.
 const LOAD_NEAR: f64 = 0.3;
-/// Share of what is left of a load that may be used up per second (1/s).
-const APPROACH_BOUND_1PS: f64 = 2.0;
-/// Time over which the speed of the arm's mass is looked at (s).
-const PACE_S: f64 = 0.2;
+/// Share of what is left of a load that may be used up, over the share of a distance.
+const APPROACH_BOUND: f64 = 4.0;
+/// Time over which the speed of the arm's mass is looked at, times the approach.
+const PACE: f64 = 0.1;
 /// Keeps the projection of a swing regular where curvatures move hardly any mass, over the mean of the diagonal.
 const SWING_DAMPED: f64 = 1e-3;
 /// What the mean squared displacement of the arm's mass costs, over that of the tip.
 const MOTION_SHARE: f64 = 2.5e-4;
 /// What its change from one step to the next costs: accelerations make the arm swing.
 const CHANGE_SHARE: f64 = 0.04;
+/// What a tip's error is counted in, over the arm's length: 1 m on the paper's.
+const UNIT: f64 = 1.0 / 2.75;
 /// Most pairs that a step looks at.
 const PAIRS_MAX: usize = 128;
-/// Faster growth is a jump, of which the barrier takes its share (m/s).
-const GROWTH_MAX_MPS: f64 = 0.5;
-/// Share of the distance above the clearance that a ball which is dodged may use up per second (1/s) ...
-const CLOSING_1PS: f64 = 3.0;
-/// ... once its way in this time is taken off (s): until the arm has answered.
-const REACTION_S: f64 = 0.2;
-/// Largest rate of a bend angle where there is nothing to give way to (rad/s).
-const FREE_RADPS: f64 = 1.5;
+/// Growth of an obstacle by more than this share of the reach per second is a jump, of which the barrier takes its share.
+const GROWTH_MAX_1PS: f64 = 1.65;
+/// Share of the distance above the clearance that a ball which is dodged may use up, over that of the approach ...
+const CLOSING: f64 = 6.0;
+/// ... once its way in this time is taken off, times the approach: until the arm has answered.
+const REACTION: f64 = 0.1;
+/// Largest rate of a bend angle where there is nothing to give way to, over the approach (rad).
+const FREE_RAD: f64 = 3.0;
 /// By how much an obstacle's speed raises that of giving way.
 const URGENCY: f64 = 3.0;
 /// Balls slower than this share of the withdrawal's speed are given way to as they come.
 const DODGE_SLOWEST: f64 = 0.5;
-/// A ball that meets the body within this time is given way to aside (s) ...
-const DODGE_S: f64 = 2.5;
-/// ... by the clearance and its way in this time (s).
-const DODGE_MARGIN_S: f64 = 0.2;
-/// Obstacles are looked for as far away as one of this speed needs (m/s).
-const FAST_MPS: f64 = 1.0;
+/// A ball that meets the body within this time is given way to aside, times the approach ...
+const DODGE: f64 = 1.25;
+/// ... by the clearance and its way in this time, times the approach.
+const DODGE_MARGIN: f64 = 0.1;
+/// Moving obstacles are looked for so much farther away than resting ones, at most.
+const FARTHER: f64 = 6.6;
 /// A pair that bends of this much cannot bring to the clearance (rad) is only kept from getting nearer.
 const HOPELESS_RAD: f64 = 1.5;
 
@@ -145,6 +147,8 @@ pub struct Reference {
     next: Vec<f64>,
     /// Root mean square speed of the arm's mass, lately, while obstacles or loads hold it back (m/s).
     pace_mps: f64,
+    /// What a tip's error is counted in (m).
+    unit_m: f64,
     /// Mass of the arm (kg), and its distribution over the curvatures (kg m^4).
     mass: f64,
     inertia: Vec<f64>,
@@ -156,7 +160,7 @@ impl Reference {
         let count = 2 * arm.segment_count();
         let n = arm.node_count();
         Self {
-            settings: *settings,
+            settings: settings.clone(),
             rest: RestingArm::new(arm),
             body: Body::with_capacity(&BodyGeometry::from_arm(config), BodyModel::Arm, body_radius_m, PAIRS_MAX),
             positions: vec![Vector3::zeros(); n + 1],
@@ -177,6 +181,7 @@ impl Reference {
             delta: vec![0.0; count],
             next: vec![0.0; count],
             pace_mps: 0.0,
+            unit_m: UNIT * config.length_m(),
             mass: arm.nodes.iter().map(|node| node.mass).sum(),
             inertia: vec![0.0; count * count],
         }
@@ -239,7 +244,7 @@ impl Reference {
             self.bound_motion(h);
         } else {
             for (i, length) in self.length.iter().enumerate() {
-                (self.low[i], self.high[i]) = (-FREE_RADPS * h / length, FREE_RADPS * h / length);
+                (self.low[i], self.high[i]) = (-FREE_RAD * self.settings.approach_1ps * h / length, FREE_RAD * self.settings.approach_1ps * h / length);
             }
         }
         if wanted.tip.is_some() {
@@ -264,6 +269,11 @@ impl Reference {
                     }
                 }
             }
+        }
+        if wanted.tip.is_some() {
+            // In squares of a length until here; the price of rows is for numbers without a unit.
+            let share = self.unit_m.powi(-2);
+            self.a.iter_mut().chain(&mut self.b).for_each(|x| *x *= share);
         }
         let mut rows = 0;
         if let Some(around) = around
@@ -308,7 +318,7 @@ impl Reference {
         }
         // What the task itself asks for is no hurry.
         let pace_mps = if met.held_back { (energy.max(0.0) / self.mass).sqrt() / h } else { 0.0 };
-        self.pace_mps += (h / PACE_S).min(1.0) * (pace_mps - self.pace_mps);
+        self.pace_mps += (h * self.settings.approach_1ps / PACE).min(1.0) * (pace_mps - self.pace_mps);
         self.rest.advance(&self.next);
         met
     }
@@ -352,7 +362,7 @@ impl Reference {
 
     /// Box of the change: what every bend by itself may do so that no segment's end exceeds the limits of giving way.
     fn bound_motion(&mut self, h: f64) {
-        let s = self.settings;
+        let s = &self.settings;
         for (i, length) in self.length.iter().enumerate() {
             let moves = self.moves(i).max(0.1 * length * length);
             let (most, change) = (s.evasion_mps * h / moves, s.evasion_mps2 * h * h / moves);
@@ -366,7 +376,7 @@ impl Reference {
         let grown = |k: usize, now: &Obstacle| self.growth.get(k).map_or(0.0, |before| (now.growth() - before) / h);
         let sets = around.now.as_slice().iter().zip(around.ahead.as_slice()).enumerate();
         sets.map(|(k, (now, ahead))| {
-            (ahead.position() - now.position()).norm() / around.span_s + grown(k, now).clamp(0.0, GROWTH_MAX_MPS)
+            (ahead.position() - now.position()).norm() / around.span_s + grown(k, now).clamp(0.0, GROWTH_MAX_1PS * self.settings.reach_m)
         })
         .fold(0.0, f64::max)
     }
@@ -393,13 +403,13 @@ impl Reference {
         let count = self.delta.len();
         for segment in 0..count / 2 {
             let c = &mut self.c[rows * count..(rows + 1) * count];
-            let load = self.rest.load_into(segment, self.settings.tension_range_n, c);
+            let load = self.rest.load_into(segment, self.settings.tension_range_n[segment], c);
             met.load_max = met.load_max.max(load);
             // As a distance: a whole load is as long as the reach.
             let scale = self.settings.reach_m;
             if load > 1.0 - LOAD_NEAR {
                 c.iter_mut().for_each(|c| *c *= -scale);
-                self.d[rows] = scale * (1.0 - load) * (APPROACH_BOUND_1PS * h).min(1.0);
+                self.d[rows] = scale * (1.0 - load) * (APPROACH_BOUND * self.settings.approach_1ps * h).min(1.0);
                 rows += 1;
             }
         }
@@ -409,15 +419,14 @@ impl Reference {
     /// Rows of all pairs within reach; how many.
     fn pair_rows(&mut self, h: f64, around: &Surroundings<'_>, met: &mut Met) -> usize {
         let count = self.delta.len();
-        let s = self.settings;
+        let ReferenceSettings { clearance_m, approach_1ps, withdrawal_mps, reach_m, .. } = self.settings;
         let q = &self.rest.state().q;
         self.rest.arm().frames_into(q, &mut self.positions, &mut self.tangents);
         // A barrier that sees an obstacle when it begins to bind gives way to it smoothly, however fast it is.
         let moved = around.now.as_slice().iter().zip(around.ahead.as_slice());
         let fastest = moved.map(|(now, ahead)| (ahead.position() - now.position()).norm()).fold(0.0, f64::max);
-        let speed = (fastest / around.span_s).min(FAST_MPS);
-        let reach = s.reach_m.max(speed / s.approach_1ps);
-        let found = self.body.find(&self.positions, &self.tangents, around.ahead, s.clearance_m + reach);
+        let reach = (fastest / around.span_s / approach_1ps).clamp(reach_m, FARTHER * reach_m);
+        let found = self.body.find(&self.positions, &self.tangents, around.ahead, clearance_m + reach);
         met.distance_min = found.minimum;
         self.rows.clear();
         self.rows.extend_from_slice(&found.rows[..found.rows.len().min(PAIRS_MAX)]);
@@ -432,13 +441,13 @@ impl Reference {
             // What the obstacle takes of the distance by its own motion (m/s).
             let before = now.distance(&row.position).0 - row.inflation;
             let growing = (now.growth() - self.growth[row.obstacle]).max(0.0) / h;
-            let closing = (before - row.distance) / around.span_s + growing.min(GROWTH_MAX_MPS);
+            let closing = (before - row.distance) / around.span_s + growing.min(GROWTH_MAX_1PS * reach_m);
             let closing = closing.max(0.0);
-            let margin = row.distance - closing * around.beyond_s - s.clearance_m;
-            let ball = ball(&row, around).filter(|b| b.velocity.norm() > DODGE_SLOWEST * s.withdrawal_mps);
+            let margin = row.distance - closing * around.beyond_s - clearance_m;
+            let ball = ball(&row, around).filter(|b| b.velocity.norm() > DODGE_SLOWEST * withdrawal_mps);
             if kept < PAIRS_MAX
                 && let Some(ball) = &ball
-                && let Some((direction, speed)) = dodge(&row, ball, &self.positions, s.clearance_m)
+                && let Some((direction, speed)) = dodge(&row, ball, &self.positions, clearance_m, approach_1ps)
             {
                 self.point_row(&row, &direction, kept);
                 self.d[kept] = -h * speed;
@@ -451,10 +460,10 @@ impl Reference {
             }
             let moved = self.point_row(&row, &row.normal, kept);
             // The arm's own way towards it, or what it takes by coming nearer: whichever is the more.
-            let own = (s.approach_1ps * margin).max(-s.withdrawal_mps);
+            let own = (approach_1ps * margin).max(-withdrawal_mps);
             let theirs = match ball {
-                Some(_) => CLOSING_1PS * (margin - REACTION_S * closing).max(0.0),
-                None => s.approach_1ps * margin.max(0.0),
+                Some(_) => CLOSING * approach_1ps * (margin - REACTION / approach_1ps * closing).max(0.0),
+                None => approach_1ps * margin.max(0.0),
             } - closing;
             self.d[kept] = moved + h * own.min(theirs);
             // In the step's box the least; in bends of HOPELESS_RAD the most.
@@ -495,11 +504,18 @@ fn ball(row: &Proximity, around: &Surroundings<'_>) -> Option<Ball> {
 /// not fly at it, or has time.
 ///
 /// To run before a ball ends where the arm ends; to step aside costs a fraction of its speed. Of the velocities that meet
-/// the ball within [`DODGE_S`] (the velocity obstacle of Fiorini and Shiller 1998) the nearest edge decides, across the
+/// the ball within [`DODGE`] (the velocity obstacle of Fiorini and Shiller 1998) the nearest edge decides, across the
 /// arm: along itself it cannot leave.
-fn dodge(row: &Proximity, ball: &Ball, positions: &[Vector3<f64>], clearance_m: f64) -> Option<(Vector3<f64>, f64)> {
+fn dodge(
+    row: &Proximity,
+    ball: &Ball,
+    positions: &[Vector3<f64>],
+    clearance_m: f64,
+    approach_1ps: f64,
+) -> Option<(Vector3<f64>, f64)> {
     let Ball { center, radius, velocity } = *ball;
-    let wide = radius + row.inflation + clearance_m + DODGE_MARGIN_S * velocity.norm();
+    let in_time_s = DODGE / approach_1ps;
+    let wide = radius + row.inflation + clearance_m + DODGE_MARGIN / approach_1ps * velocity.norm();
     // Whether it meets this very point ...
     let away = row.position - center;
     let approach = velocity.dot(&away);
@@ -508,7 +524,7 @@ fn dodge(row: &Proximity, ball: &Ball, positions: &[Vector3<f64>], clearance_m: 
     }
     let miss = (away - velocity * (approach / velocity.norm_squared())).norm();
     let left_s = (away.norm() - wide) * away.norm() / approach;
-    if miss > wide || left_s > DODGE_S {
+    if miss > wide || left_s > in_time_s {
         return None;
     }
     // ... and how it is left across the arm.
@@ -526,7 +542,7 @@ fn dodge(row: &Proximity, ball: &Ball, positions: &[Vector3<f64>], clearance_m: 
     let sine = wide / distance;
     let cosine = (1.0 - sine * sine).sqrt();
     let speed = towards * sine - velocity.dot(&side) * cosine;
-    let share = (2.0 * (DODGE_S - left_s) / DODGE_S).min(1.0);
+    let share = (2.0 * (in_time_s - left_s) / in_time_s).min(1.0);
     (speed > 0.0).then_some((normal * sine - side * cosine, share * speed))
 }
 

@@ -16,6 +16,10 @@ use nalgebra::{Vector3, Vector4};
 /// Rows of a tip's pose: position (base frame), rotation (tip frame; roll about the tangent first).
 pub const POSE: usize = 6;
 
+/// What cables can give to a side that none of them pulls to, over what one of them gives to its own: more than nothing, so
+/// that a load is a number.
+const LEAST_SHARE: f64 = 0.02;
+
 /// An arm at rest. [`RestingArm::new`] allocates, nothing else does.
 #[derive(Debug, Clone)]
 pub struct RestingArm {
@@ -69,6 +73,11 @@ impl RestingArm {
             state,
             arm: arm.clone(),
         }
+    }
+
+    /// Whether cables move this bend (of two per segment).
+    pub fn is_moved(&self, bend: usize) -> bool {
+        self.space.is_observable(bend ^ 1)
     }
 
     /// Its model.
@@ -161,6 +170,13 @@ impl RestingArm {
         self.inverse.fill(0.0);
         for i in 0..count {
             self.inverse[i * count + i] = 1.0;
+            if !self.space.is_observable(i) {
+                // No cable gives this moment: the bend about its axis is what the equilibrium makes it. Holes off on y bend
+                // about z, so moments and curvatures of a segment stand crosswise.
+                let bend = i ^ 1;
+                self.compliance[bend * count..(bend + 1) * count].fill(0.0);
+                self.compliance[bend * count + i] = 1.0;
+            }
         }
         if !dense::solve_panel_in_place(count, count, &mut self.compliance, &mut self.inverse) {
             return Err(Singular(0));
@@ -245,10 +261,13 @@ impl RestingArm {
         let (mut load, mut side, mut most) = (0.0f64, [0.0; 2], 1.0);
         for c in own() {
             let h = hole(c);
-            for n in [[-h[1], h[0]], [h[1], -h[0]]] {
-                let can = range_n * own().map(|d| (n[0] * hole(d)[0] + n[1] * hole(d)[1]).max(0.0)).sum::<f64>();
+            // Across the hole's direction a side of the polygon; along it, too, where the cables are in one line or on one side.
+            for n in [[-h[1], h[0]], [h[1], -h[0]], h, [-h[0], -h[1]]] {
+                let least = LEAST_SHARE * range_n * n[0].hypot(n[1]) * h[0].hypot(h[1]);
+                let sum = own().map(|d| (n[0] * hole(d)[0] + n[1] * hole(d)[1]).max(0.0)).sum::<f64>();
+                let can = (range_n * sum).max(least);
                 let needs = n[0] * given[0] + n[1] * given[1];
-                if can > 0.0 && needs / can > load {
+                if needs / can > load {
                     (load, side, most) = (needs / can, n, can);
                 }
             }

@@ -40,7 +40,7 @@ pub struct Tick<'a> {
 pub struct Collector {
     names: Vec<String>,
     cables: Vec<String>,
-    tension_max: f64,
+    tension_maxima: Vec<f64>,
     ticks: u64,
     not_converged: u64,
     /// Steps whose distances were relaxed, and that left pairs out.
@@ -96,8 +96,9 @@ impl Track {
 }
 
 impl Collector {
-    /// For a run with these obstacles; `cables_per_segment` gives the cables' names `"segment,cable"`.
-    pub fn new(obstacles: &[String], cables_per_segment: &[usize], tension_max: f64) -> Self {
+    /// For a run with these obstacles; `cables_per_segment` gives the cables' names `"segment,cable"`,
+    /// `tension_maxima` their largest tensions (N).
+    pub fn new(obstacles: &[String], cables_per_segment: &[usize], tension_maxima: &[f64]) -> Self {
         let cables = cables_per_segment
             .iter()
             .enumerate()
@@ -106,7 +107,7 @@ impl Collector {
         Self {
             names: obstacles.to_vec(),
             cables,
-            tension_max,
+            tension_maxima: tension_maxima.to_vec(),
             ticks: 0,
             not_converged: 0,
             short: None,
@@ -134,9 +135,9 @@ impl Collector {
                 track.add(tick.time_s, *d);
             }
         }
-        for (name, u) in self.cables.iter().zip(tick.tensions) {
+        for ((name, u), most) in self.cables.iter().zip(tick.tensions).zip(&self.tension_maxima) {
             self.tension = (self.tension.0.min(*u), self.tension.1.max(*u));
-            if *u >= self.tension_max - 1e-6 {
+            if *u >= most * (1.0 - 5e-9) {
                 let entry = self
                     .saturated
                     .entry(name.clone())

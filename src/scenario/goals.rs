@@ -4,7 +4,7 @@ use crate::collision::{Obstacle, ObstacleError, ObstacleSet, SetFull, Shape, Sha
 use crate::config::{ArmConfig, ScenarioConfig, Start, Task};
 use crate::integrator::{StaticsError, Stepper, consistent_start, equilibrium};
 use crate::model::{Arm, State};
-use crate::planner::{Goal, StartError, tip_start};
+use crate::planner::{Goal, StartError, sensitivity, tip_start};
 use nalgebra::{Vector3, Vector4};
 
 /// Why a scenario cannot be set up.
@@ -38,7 +38,14 @@ pub enum CourseError {
     /// The start's accelerations could not be computed.
     #[error("start: {0}")]
     Step(#[from] crate::integrator::StepError),
+    /// The arm's equations are singular.
+    #[error("a node of the arm has no mass")]
+    Massless,
 }
+
+/// Where a scenario gives no weights on tensions: W over the diagonal of `S^T Q S` in open loop, and R over the least of W.
+const CHANGE_SHARE: f64 = 3e-4;
+const TENSION_SHARE: f64 = 1e-4;
 
 /// Goals and obstacles of a scenario over time.
 #[derive(Debug)]
@@ -55,6 +62,27 @@ impl Course {
     /// The scenario.
     pub fn scenario(&self) -> &ScenarioConfig {
         &self.scenario
+    }
+
+    /// R = r I and the diagonal of W per segment (1/N^2): the scenario's, or shares of what its straight arm answers its
+    /// cables with under the weights at the end. Allocates.
+    ///
+    /// # Errors
+    /// A node of the arm has no mass.
+    pub fn tension_weights(&self) -> Result<(f64, Vec<f64>), CourseError> {
+        let scenario = &self.scenario;
+        let change = match &scenario.weight_tension_change {
+            Some(change) => change.clone(),
+            None => {
+                let arm = Arm::new(&scenario.arm);
+                let goal = self.goal(scenario.duration_s);
+                let answers = sensitivity(&arm, &scenario.planner, scenario.arm.rho_inf, &goal)
+                    .map_err(|_| CourseError::Massless)?;
+                answers.into_iter().map(|a| CHANGE_SHARE * a).collect()
+            }
+        };
+        let least = change.iter().copied().fold(f64::INFINITY, f64::min);
+        Ok((scenario.weight_tension.unwrap_or(TENSION_SHARE * least), change))
     }
 
     /// Desired outputs and weights at time `t` (s).
@@ -110,7 +138,7 @@ impl Course {
         let arm = Arm::new(arm_config);
         let nc = arm.cable_count();
         let low = vec![arm_config.tension_n_min; nc];
-        let high = vec![arm_config.tension_n_max; nc];
+        let high = arm_config.tension_maxima_n();
         let mut stepper = Stepper::new(&arm);
         let mut state = State::at_rest(arm.straight());
         let u = match &self.scenario.start {

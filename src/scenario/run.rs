@@ -87,7 +87,8 @@ impl Run {
         let now = course.obstacles()?;
         let ahead = course.obstacles()?;
         let planner_config = &scenario.planner;
-        let planner = Planner::new(arm, planner_config, scenario.weight_tension, &scenario.weight_tension_change);
+        let (tension, change) = course.tension_weights()?;
+        let planner = Planner::new(arm, planner_config, tension, &change);
         let n = arm.node_count();
         Ok(Self {
             measure: Body::with_capacity(
@@ -166,7 +167,7 @@ impl Run {
         let scenario = self.course.scenario();
         let names: Vec<String> = scenario.obstacles.iter().map(|o| o.id.clone()).collect();
         let cables: Vec<usize> = scenario.arm.segments.iter().map(|s| s.hole_angles_rad.len()).collect();
-        Collector::new(&names, &cables, scenario.arm.tension_n_max)
+        Collector::new(&names, &cables, &scenario.arm.tension_maxima_n())
     }
 
     /// What `plan` would give for the next step with another planner, without moving on: `(cost, report)`.

@@ -40,7 +40,8 @@ pub fn sweep(
         let mut run = Run::new(&varied, seed)?;
         let mut exact_config = run.planner().config().clone();
         exact_config.warning = WarningBranch::Complementarity;
-        let mut exact = Planner::new(&varied.arm, &exact_config, varied.weight_tension, &varied.weight_tension_change);
+        let (tension, change) = run.course().tension_weights()?;
+        let mut exact = Planner::new(&varied.arm, &exact_config, tension, &change);
         let mut collector = run.collector();
         let (mut ratio_sum, mut ratio_max, mut judged) = (0.0, 0.0f64, 0u64);
         for k in 1..=run.total() {

@@ -70,6 +70,7 @@ fn the_built_in_arm_is_the_papers() {
         connector_mass_kg: 0.0,
         hole_radius_m: 0.05,
         hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
+        tension_n_max: 220.0,
     };
     let expected = ArmConfig {
         name: "paper".into(),
@@ -161,11 +162,11 @@ fn a_wake_up_latency_is_asked_for_only_where_it_is_given_and_within_its_range() 
 fn files_from_disk_are_named_by_their_paths() {
     let directory = tempfile::tempdir().unwrap();
     let arm = directory.path().join("my-arm.toml");
-    std::fs::write(&arm, shipped("arm.toml").replace("rho", "rhu").replace("cables = 6", "cables = 2")).unwrap();
+    std::fs::write(&arm, shipped("arm.toml").replace("rho", "rhu").replace("cables = 6", "cables = 0")).unwrap();
     let drives = directory.path().join("drives.toml");
     std::fs::write(&drives, shipped("drives.toml")).unwrap();
     let place = format!("{}:{}:10", arm.display(), line_of("arm.toml", "cables = 6"));
-    expect(Config::load(&[arm, drives]), &[&place, "`arm.segment_defaults.cables` = 2", "integer 3 to 12"]);
+    expect(Config::load(&[arm, drives]), &[&place, "`arm.segment_defaults.cables` = 0", "integer 1 to 12"]);
     let missing = directory.path().join("nowhere.toml");
     expect(Config::load(&[missing]), &["cannot read", "nowhere.toml"]);
 }
@@ -224,13 +225,13 @@ fn a_segment_count_of_zero_is_refused() {
         "arm.toml",
         "segment_count = 4",
         "segment_count = 0",
-        &["`arm.segment_count` = 0 is outside its range", "integer 1 to 8"],
+        &["`arm.segment_count` = 0 is outside its range", "integer 1 to 16"],
     );
 }
 
 #[test]
 fn an_arm_without_segments_is_refused() {
-    expect(changed("arm.toml", "segment_count = 4", ""), &["arm.toml:6:", "the arm has no segments", "1 to 8"]);
+    expect(changed("arm.toml", "segment_count = 4", ""), &["arm.toml:6:", "the arm has no segments", "1 to 16"]);
 }
 
 #[test]
@@ -575,14 +576,68 @@ fn every_default_may_be_written_out_and_changes_nothing() {
 }
 
 #[test]
-fn the_controllers_file_states_the_defaults() {
-    let mut bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
-    assert_eq!(bare.planner.body_radius_m, 0.055, "the body's default radius is the disks'");
-    // The deliberate differences: the demonstrations' body, and a swarm that fits into a period.
-    bare.planner.body_radius_m = 0.0;
-    let swarm = &mut bare.planner.swarm;
-    (swarm.particles_normal, swarm.particles_uniform, swarm.sweeps_max, swarm.stall_sweeps) = (15, 5, 10, 3);
-    assert_eq!(bare, Config::parse(files(&["arm.toml", "controller.toml", "drives.toml"])).unwrap());
+fn the_body_has_the_disks_radius_unless_told_otherwise() {
+    let bare = Config::parse(files(&["arm.toml", "drives.toml"])).unwrap();
+    assert_eq!(bare.planner.body_radius_m, 0.055);
+}
+
+/// The arm's file with other lines for its segments' cables, and a period that 60 more drives on a bus permit.
+fn with_cables(lines: &str) -> Result<Config, ConfigError> {
+    let arm = shipped("arm.toml").replace("cables = 6\nhole_start_deg = 30.0", lines);
+    Config::of_arm(&ArmConfig::parse("arm.toml", &arm)?, None)
+}
+
+#[test]
+fn what_few_cables_cannot_bend_is_said() {
+    assert_eq!(with_cables("cables = 3").unwrap().warnings(), [""; 0]);
+    for (lines, parts) in [
+        ("cables = 1", ["segment 1: cables at 0 degrees alone bend it to that side only", "segment 4"]),
+        ("cables = 2\nhole_start_deg = 90.0", ["at 90 and 270 degrees bend it in one plane", "segment 4"]),
+        ("hole_angles_deg = [0, 60, 120]", ["no cable from 120 to 0 degrees", "segment 4"]),
+    ] {
+        let warnings = with_cables(lines).unwrap().warnings();
+        assert_eq!(warnings.len(), 4, "{warnings:?}");
+        for part in parts {
+            assert!(warnings.iter().any(|w| w.contains(part)), "{part} is not in {warnings:?}");
+        }
+    }
+}
+
+#[test]
+fn sixteen_segments_are_an_arm_and_too_many_cables_are_none() {
+    let many = |cables: usize| {
+        let text = shipped("arm.toml")
+            .replace("segment_count = 4", "segment_count = 16")
+            .replace("cables = 6", &format!("cables = {cables}"));
+        ArmConfig::parse("arm.toml", &text)
+    };
+    assert_eq!(many(6).unwrap().cable_count(), 96);
+    let refusal = many(7).unwrap_err().report();
+    for part in ["112 cables", "at most 96 cables in all"] {
+        assert!(refusal.contains(part), "{part} is not in\n{refusal}");
+    }
+}
+
+#[test]
+fn a_segment_may_have_a_tension_of_its_own_inside_the_arms() {
+    let with = |tension: &str| {
+        let text = shipped("arm.toml").replace("cables = 6", &format!("cables = 6\ntension_n_max = {tension}"));
+        ArmConfig::parse("arm.toml", &text)
+    };
+    assert_eq!(with("150.0").unwrap().tension_maxima_n(), [150.0; 24]);
+    for beyond in ["0.0", "230.0"] {
+        let refusal = with(beyond).unwrap_err().report();
+        assert!(refusal.contains("arm.segment_defaults.tension_n_max"), "{refusal}");
+    }
+}
+
+#[test]
+fn a_segment_of_a_millimetre_is_refused_with_what_is_permitted() {
+    let text = shipped("arm.toml").replace("length_m = 0.65", "length_m = 0.001");
+    let refusal = ArmConfig::parse("arm.toml", &text).unwrap_err().report();
+    for part in ["length_m` = 0.001", "shorter than half a disk", "0.025 m or more"] {
+        assert!(refusal.contains(part), "{part} is not in\n{refusal}");
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ fn scenario(name: &str) -> ScenarioConfig {
 fn the_tip_scenario_is_the_papers() {
     let tip = scenario("tip");
     assert_eq!((tip.duration_s, tip.planner.period_s, tip.planner.lookahead_s), (100.0, 0.1, 0.1));
-    assert_eq!(tip.weight_tension_change, [1e4, 2e4, 3e4, 4e4]);
+    assert_eq!(tip.weight_tension_change.as_deref(), Some(&[1e4, 2e4, 3e4, 4e4][..]));
     assert_eq!(tip.planner.swarm.penalty, 1e12);
     assert_eq!(tip.planner.warning_distance_m, 0.01);
     assert_eq!(tip.planner.lead_s, Some(0.0), "the paper has no lead");
@@ -42,8 +42,8 @@ fn the_shape_scenario_is_the_papers() {
     let curvatures = vec![0.806, 0.806, -2.417, 0.0, -1.611, -2.417, -1.611, -2.417];
     let task = Task::Shape { curvatures_1pm: curvatures, weight_end: 1e10, weight_slope: 9.99e5, end_s: 100.0 };
     assert_eq!(shape.task, task);
-    assert_eq!((shape.weight_tension, shape.planner.swarm.penalty), (1.0, 1e16));
-    assert_eq!(shape.weight_tension_change, [2e6; 4]);
+    assert_eq!((shape.weight_tension, shape.planner.swarm.penalty), (Some(1.0), 1e16));
+    assert_eq!(shape.weight_tension_change.as_deref(), Some(&[2e6; 4][..]));
     assert_eq!(shape.obstacles[1].motion.position_at(40.0), [0.25, 0.50, -1.60]);
     assert!(shape.obstacles.iter().all(|obstacle| obstacle.shape == ShapeConfig::Ball { radius_m: 0.1 }));
     assert!(!scenario("shape-no-avoidance").planner.avoidance);
@@ -239,4 +239,41 @@ fn a_tip_scenario_cannot_start_under_tensions_outside_the_box() {
     let mut text = SCENARIOS[0].1.to_owned();
     text.replace_range(from..end, &format!("kind = \"tensions\"\ntensions_n = [{}230]", "0, ".repeat(23)));
     expect(ScenarioConfig::parse("mine.toml", &text), &["`start.tensions_n`", "0 to 220 N each"]);
+}
+
+#[test]
+fn a_shape_that_few_cables_cannot_hold_is_refused_and_others_are_not() {
+    let directory = tempfile::tempdir().unwrap();
+    let read = |cables: &str, curvatures: &str| {
+        let arm = include_str!("../../config/arm.toml").replace("segment_count = 4", "segment_count = 1");
+        let arm = arm.replace("cables = 6\nhole_start_deg = 30.0", cables);
+        std::fs::write(directory.path().join("arm.toml"), arm).unwrap();
+        let text = format!(
+            "name = \"bend\"\narm = \"arm.toml\"\nduration_s = 10.0\n[task]\nmode = \"shape\"\ncurvatures_1pm = {curvatures}\n\
+             [start]\nkind = \"straight\"\n"
+        );
+        let file = directory.path().join("bend.toml");
+        std::fs::write(&file, text).unwrap();
+        ScenarioConfig::load(&file)
+    };
+    // Cables on y: moments about z alone.
+    for (cables, curvatures) in [
+        ("cables = 1", "[0.0, 1.0]"),
+        ("cables = 2", "[0.0, -1.0]"),
+        ("cables = 3", "[1.0, 0.3]"),
+        ("cables = 3", "[-0.2, -1.0]"),
+        ("hole_angles_deg = [0, 90]", "[-0.5, 1.0]"),
+    ] {
+        assert!(read(cables, curvatures).is_ok(), "{cables} {curvatures}");
+    }
+    for (cables, curvatures, part) in [
+        ("cables = 1", "[0.0, -1.0]", "its one cable does not bend it that way"),
+        ("cables = 2", "[0.5, 1.0]", "segment 1: its 2 cables do not bend it that way"),
+        ("hole_angles_deg = [0, 90]", "[0.5, 1.0]", "its 2 cables do not"),
+    ] {
+        let refusal = read(cables, curvatures).unwrap_err().report();
+        for part in [part, "task.curvatures_1pm"] {
+            assert!(refusal.contains(part), "{part} is not in\n{refusal}");
+        }
+    }
 }

@@ -3,6 +3,7 @@
 //! `cargo run --release -p sim_plant --example campaign -- --help`
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)] // a tool: what fails ends it
 
+mod arms;
 mod follow;
 mod poses;
 mod thrown;
@@ -105,6 +106,24 @@ enum What {
         #[arg(long)]
         trace: Option<PathBuf>,
     },
+    /// Scenarios with arms of their own, by the defaults that each arm's file gives: one line each, in % of the length.
+    Arms {
+        /// Scenario files.
+        #[arg(required = true)]
+        scenarios: Vec<PathBuf>,
+        /// Each with arm and scene so many times as large.
+        #[arg(long, value_delimiter = ',', default_value = "1")]
+        scales: Vec<f64>,
+        /// The body has the disks' radius, not that of the backbone's curve.
+        #[arg(long)]
+        body: bool,
+        /// Length of the run (s), in place of the scenario's.
+        #[arg(long)]
+        duration: Option<f64>,
+        /// A line per tick on this file.
+        #[arg(long)]
+        trace: Option<PathBuf>,
+    },
 }
 
 /// What a run starts from.
@@ -115,13 +134,18 @@ pub(crate) struct World {
 
 impl Args {
     fn world(&self, seed: u64) -> World {
-        let mut config = if self.config.is_empty() {
+        let config = if self.config.is_empty() {
             Config::builtin()
         } else {
             let mut files = self.config.clone();
             files.dedup();
             Config::load(&files).unwrap_or_else(|error| panic!("{error}"))
         };
+        self.adapted(config, seed)
+    }
+
+    /// The same with a configuration given.
+    fn adapted(&self, mut config: Config, seed: u64) -> World {
         if let Some(period) = self.period {
             config.timing.period_s = period;
             config.planner.period_s = period;
@@ -148,11 +172,14 @@ impl Args {
                 "pose" => config.weights.tip.pose = value,
                 "eta" => config.planner.lookahead_s = value,
                 "its" => config.planner.newton_iterations_max = value as usize,
-                "w" => config.weights.tip.tension_change.iter_mut().for_each(|w| *w *= value),
                 "evasion" => config.governor.evasion_mps = value,
                 "evasion2" => config.governor.evasion_mps2 = value,
                 "approach" => config.governor.approach_1ps = value,
+                "w" => config.weights.tip.tension_change.iter_mut().flatten().for_each(|w| *w *= value),
+                "c" => config.weights.tip.change_ratio = value,
+                "ra" => config.weights.tip.rate = value * config.weights.tip.pose * config.planner.lookahead_s.powi(2),
                 "swing" => config.governor.swing_damping_1ps = value,
+                "speed" => config.governor.speed_mps = value * config.arm.length_m(),
                 "mesh" => truth.mesh_refinement = value as usize,
                 "ei" => truth.stiffness_factor = value,
                 "te" => truth.tension_error_max = value,
@@ -181,6 +208,9 @@ fn main() {
         }
         What::Follow { scenario, duration, stop, trace } => {
             follow::run(&args, scenario, *duration, *stop, trace.as_deref());
+        }
+        What::Arms { scenarios, scales, body, duration, trace } => {
+            arms::run(&args, scenarios, scales, *body, *duration, trace.as_deref());
         }
     }
 }

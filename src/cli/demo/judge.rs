@@ -205,7 +205,7 @@ fn held(run: &[&Record], origin_ns: u64, period_s: f64) -> Held {
 fn collector(setup: &Setup) -> Collector {
     let names: Vec<String> = setup.scenario.obstacles.iter().map(|o| o.id.clone()).collect();
     let cables: Vec<usize> = setup.config.arm.segments.iter().map(|s| s.hole_angles_rad.len()).collect();
-    Collector::new(&names, &cables, setup.config.arm.tension_n_max)
+    Collector::new(&names, &cables, &setup.config.arm.tension_maxima_n())
 }
 
 fn faults(records: &[Record], origin_ns: u64, collector: &mut Collector) {

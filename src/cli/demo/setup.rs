@@ -2,7 +2,7 @@
 
 use super::{Branch, Demo, complain, is_tip};
 use miette::{IntoDiagnostic, WrapErr, miette};
-use sinew::config::{BUILTIN_FILES, Config, ScenarioConfig};
+use sinew::config::{BUILTIN_FILES, Config, ScenarioConfig, arm_text_of, simulated_drives};
 use sinew::ipc::Domain;
 use sinew::scenario::Course;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub(super) struct Setup {
     prefix: String,
     folder: PathBuf,
     /// Deletes the folder where it is not to be kept.
-    _temporary: tempfile::TempDir,
+    temporary: tempfile::TempDir,
 }
 
 impl Setup {
@@ -65,7 +65,7 @@ impl Setup {
         let process = std::process::id();
         let prefix = format!("sinewdemo{process}_");
         let root = temporary.path().join("ipc/");
-        let mut tables = tables(&demo.config)?;
+        let mut tables = tables(&demo.config, &demo.scenario, &scenario)?;
         let buses = isolate(&mut tables, process, &prefix, &root, &demo.can)?;
         adapt(&mut tables, demo, &scenario);
         let file = folder.join("demo.toml");
@@ -101,10 +101,15 @@ impl Setup {
             buses,
             prefix,
             folder,
-            _temporary: temporary,
+            temporary,
             scenario,
             config,
         })
+    }
+
+    /// Leaves recordings and logs behind, since somebody is told to look at them.
+    pub(super) fn keep(&mut self) {
+        self.temporary.disable_cleanup(true);
     }
 
     /// Where configuration, recordings and logs are.
@@ -237,10 +242,15 @@ fn find_plant(sinew: &Path) -> miette::Result<PathBuf> {
     })
 }
 
-/// All tables of the files given, or of the built-in ones.
-fn tables(files: &[PathBuf]) -> miette::Result<Table> {
+/// All tables of the files given; without files those of the scenario's own arm, from which everything else is computed, or
+/// the built-in ones.
+fn tables(files: &[PathBuf], name: &str, scenario: &ScenarioConfig) -> miette::Result<Table> {
     let mut all = Table::new();
-    let texts: Vec<String> = if files.is_empty() {
+    let texts: Vec<String> = if files.is_empty()
+        && let Some(arm) = arm_text_of(name)
+    {
+        vec![arm, simulated_drives(&scenario.arm)]
+    } else if files.is_empty() {
         let built_in = BUILTIN_FILES.iter().filter(|(name, _)| FILES.contains(name));
         built_in.map(|(_, text)| (*text).to_owned()).collect()
     } else {
@@ -305,13 +315,15 @@ fn adapt(tables: &mut Table, demo: &Demo, scenario: &ScenarioConfig) {
         };
         planner.insert("warning".into(), name.into());
     }
-    if demo.config.is_empty() {
+    if demo.config.is_empty() && arm_text_of(&demo.scenario).is_none() {
         // Weights and penalty belong to the paper's example, not to the machine.
         table(planner, "swarm").insert("penalty".into(), scenario.planner.swarm.penalty.into());
         let kind = if is_tip(&scenario.task) { "tip" } else { "shape" };
         let weights = table(table(tables, "weights"), kind);
-        weights.insert("tension".into(), scenario.weight_tension.into());
-        weights.insert("tension_change".into(), scenario.weight_tension_change.clone().into());
+        if let (Some(tension), Some(change)) = (scenario.weight_tension, &scenario.weight_tension_change) {
+            weights.insert("tension".into(), tension.into());
+            weights.insert("tension_change".into(), change.clone().into());
+        }
         match &scenario.task {
             sinew::config::Task::Tip { weight_pose, weight_rate, weight_damping, .. } => {
                 weights.insert("pose".into(), (*weight_pose).into());

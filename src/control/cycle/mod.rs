@@ -20,6 +20,7 @@ use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::Record;
 use super::settings::{Settings, seconds_to_ns};
+use super::steering::Steering;
 use super::supervision::Supervision;
 use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
@@ -104,6 +105,7 @@ pub struct TickOutput {
 #[derive(Debug)]
 pub struct Cycle<E, P = Planner> {
     settings: Settings,
+    steering: Steering,
     arm: Arm,
     estimator: E,
     planner: P,
@@ -127,6 +129,8 @@ pub struct Cycle<E, P = Planner> {
     singular_in_row: u32,
     model_lengths: Vec<f64>,
     model_rates: Vec<f64>,
+    /// Largest tension of each cable (N).
+    maxima_n: Vec<f64>,
     safe: Vec<f64>,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -149,8 +153,8 @@ impl<E: Estimator> Cycle<E> {
     /// If the arm has more cables or segments than a record holds, which the configuration does not permit, or start
     /// tensions or home curvatures are not as many as the arm needs.
     pub fn new(settings: &Settings, estimator: E) -> Self {
-        let weights = &settings.weights.tip;
-        let planner = Planner::new(&settings.arm, &settings.planner, weights.tension, &weights.tension_change);
+        let steering = Steering::new(settings);
+        let planner = Planner::new(&settings.arm, &settings.planner, steering.tension, &steering.change);
         Self::with_planner(settings, estimator, planner)
     }
 }
@@ -200,6 +204,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],
+            maxima_n: settings.arm.tension_maxima_n(),
             safe: vec![settings.safe_tension_n(); cables],
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -211,6 +216,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             positions: vec![Vector3::zeros(); nodes + 1],
             tangents: vec![Vector3::zeros(); nodes + 1],
             record: Record::default(),
+            steering: Steering::new(settings),
             settings: settings.clone(),
             arm,
             estimator,
@@ -430,7 +436,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let tip_speed_mps = if self.observing { self.arm.tip(&state.q, &state.qd).velocity.norm() } else { f64::NAN };
         let moves = self.motion.moves(inputs.now_ns, tip_speed_mps, self.encoders.lengths_m());
         let home = &self.settings.home_curvatures_1pm;
-        let tolerance = self.settings.home_tolerance_1pm;
+        let tolerance = self.settings.home_tolerance_rad;
+        let length = |i: usize| self.settings.arm.segments[i / 2].length_m;
         Observed {
             tick: inputs.tick,
             now_ns: inputs.now_ns,
@@ -442,7 +449,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             obstacles: inputs.demand,
             hold,
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
-            at_home: self.curvatures[..count].iter().zip(home).all(|(k, home)| (k - home).abs() <= tolerance),
+            at_home: self.curvatures[..count]
+                .iter()
+                .zip(home)
+                .enumerate()
+                .all(|(i, (k, home))| length(i) * (k - home).abs() <= tolerance),
             lowered: self.governor.has_arrived(self.postures.rest()),
             moves,
             missed: inputs.missed,
@@ -563,11 +574,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// Judges `proposed` with what friction takes added, and moves it to `commanded` and `sent`.
     fn send(&mut self, floor: Floor) -> TensionVerdict {
         if self.friction.is_active() {
-            let (low, high) = (self.settings.arm.tension_n_min, self.settings.arm.tension_n_max);
-            for (u, factor) in self.proposed.iter_mut().zip(self.friction.factors()) {
+            let low = self.settings.arm.tension_n_min;
+            for ((u, factor), high) in self.proposed.iter_mut().zip(self.friction.factors()).zip(&self.maxima_n) {
                 // What lies outside the box as it is planned stays so, for the guard to see.
-                if (low..=high).contains(u) {
-                    *u = (*u / factor).clamp(low, high);
+                if (low..=*high).contains(u) {
+                    *u = (*u / factor).clamp(low, *high);
                 }
             }
         }

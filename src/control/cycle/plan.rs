@@ -35,9 +35,6 @@ impl Wanted {
     }
 }
 
-/// Weight of the posture over that of a position, as a share of the squared length of a segment.
-const POSTURE_SHARE: f64 = 0.1;
-
 impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// The target at the end of lookahead and lead.
     pub(super) fn wanted(&self, inputs: &TickInputs<'_>) -> Option<Wanted> {
@@ -59,7 +56,6 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         rng: &mut Xoshiro256PlusPlus,
         deadline: &mut impl StopWatch,
     ) -> Report {
-        let weights = &self.settings.weights;
         let count = 2 * self.arm.segment_count();
         let wish = match wanted {
             Wanted::Tip { position, quaternion } => Wish::Tip { position: *position, quaternion: *quaternion },
@@ -82,11 +78,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         if self.governor.is_out_of_reach() {
             limits.insert(Limit::OutOfReach);
         }
-        let length = self.settings.arm.segments[0].length_m;
         let goal = Goal::Shape {
             curvatures: self.governor.command(),
-            weight: weights.tip.pose * POSTURE_SHARE * length * length,
-            rate: weights.tip.rate / weights.tip.pose,
+            weight: self.steering.curvature,
+            rate: self.steering.rate,
         };
         let report = self.planner.plan(
             &Inputs {

@@ -25,7 +25,8 @@ pub struct TensionVerdict {
 #[derive(Debug, Clone)]
 pub struct TensionGuard {
     low_n: f64,
-    high_n: f64,
+    /// Per cable.
+    high_n: Vec<f64>,
     tolerance_n: f64,
     change_n_max: f64,
 }
@@ -35,7 +36,7 @@ impl TensionGuard {
     pub fn new(arm: &ArmConfig, config: &GuardConfig, period_s: f64) -> Self {
         Self {
             low_n: arm.tension_n_min,
-            high_n: arm.tension_n_max,
+            high_n: arm.tension_maxima_n(),
             tolerance_n: config.box_tolerance_n,
             change_n_max: config.tension_rate_npsmax * period_s,
         }
@@ -55,20 +56,20 @@ impl TensionGuard {
             let cable = cable as u16;
             if !u.is_finite() {
                 Some(Fault::TensionNotFinite { cable })
-            } else if u < low - self.tolerance_n || u > self.high_n + self.tolerance_n {
+            } else if u < low - self.tolerance_n || u > self.high_n[usize::from(cable)] + self.tolerance_n {
                 Some(Fault::TensionOutside { cable, tension_n: u })
             } else {
                 None
             }
         });
         let mut limited = 0;
-        for ((out, &u), &last) in out.iter_mut().zip(proposed).zip(sent) {
+        for (((out, &u), &last), &high) in out.iter_mut().zip(proposed).zip(sent).zip(&self.high_n) {
             // `sent` was an `out`; only its very first value comes from elsewhere.
-            let last = if last.is_finite() { last.clamp(0.0, self.high_n) } else { low };
+            let last = if last.is_finite() { last.clamp(0.0, high) } else { low };
             *out = if fault.is_some() {
                 last
             } else {
-                let inside = u.clamp(low, self.high_n);
+                let inside = u.clamp(low, high);
                 let change = (inside - last).clamp(-self.change_n_max, self.change_n_max);
                 // Not `last + change` throughout: an unlimited change must arrive exactly.
                 if last + change == inside || (inside - last).abs() <= self.change_n_max {
@@ -88,7 +89,7 @@ mod tests {
     use super::*;
 
     fn guard(rate: f64) -> TensionGuard {
-        TensionGuard { low_n: 5.0, high_n: 220.0, tolerance_n: 1e-9, change_n_max: rate }
+        TensionGuard { low_n: 5.0, high_n: vec![220.0; 3], tolerance_n: 1e-9, change_n_max: rate }
     }
 
     fn check(g: &TensionGuard, proposed: [f64; 3], sent: [f64; 3]) -> (TensionVerdict, [f64; 3]) {

@@ -26,10 +26,10 @@ use iceoryx2::prelude::ZeroCopySend;
 
 /// Version of all payloads; part of their type names, so that another version is refused on opening a service.
 pub const SCHEMA_VERSION: u32 = 1;
-/// Most cables of an arm (8 segments with 12).
+/// Most cables of an arm.
 pub const MAX_CABLES: usize = 96;
 /// Most segments of an arm.
-pub const MAX_SEGMENTS: usize = 8;
+pub const MAX_SEGMENTS: usize = 16;
 /// Average curvatures: two per segment.
 pub const MAX_CURVATURES: usize = 2 * MAX_SEGMENTS;
 /// Most nodes in [`State`]; an arm with more sends every `node_stride`-th.

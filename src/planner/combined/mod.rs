@@ -26,8 +26,8 @@ pub const PAIRS_MAX: usize = 256;
 const STRICT_M: f64 = 1e-9;
 /// A correction of q beyond this (m, 1) ends the step: the iteration has left the arm. NaN does, too.
 const DIVERGED: f64 = 1e3;
-/// Beyond the warning distance a pair is still watched within this: no step moves a point farther (m).
-const REACH_M: f64 = 0.05;
+/// Beyond the warning distance a pair is still watched within this share of the arm's length: no step moves a point farther.
+const REACH: f64 = 0.018;
 
 /// What one planning step works from.
 #[derive(Debug, Clone, Copy)]
@@ -138,6 +138,8 @@ pub struct Planner {
     /// Norm of a correction that moves every node by the arm's length (m): a last one beyond it is no way to a solution
     /// unless it is half of the one before. Two iterations of the paper's tip example leave 0.09, the norm here is 12.
     far: f64,
+    /// Beyond the warning distance a pair is still watched within this (m).
+    watch_m: f64,
     low: Vec<f64>,
     high: Vec<f64>,
     /// u_{k-1} inside the box.
@@ -192,9 +194,10 @@ impl Planner {
             weight_tension: tension,
             weight_change: arm.cable_segment.iter().map(|&s| change[s] * pace).collect(),
             box_low: vec![arm_config.tension_n_min; nc],
-            box_high: vec![arm_config.tension_n_max; nc],
+            box_high: arm_config.tension_maxima_n(),
             rate_max: arm_config.tension_rate_npsmax * config.period_s,
             far: (n as f64).sqrt() * arm_config.length_m(),
+            watch_m: REACH * arm_config.length_m(),
             low: vec![0.0; nc],
             high: vec![0.0; nc],
             previous: vec![0.0; nc],
@@ -404,7 +407,7 @@ impl Planner {
     fn watch(&mut self, next: &State, inputs: &Inputs<'_>, report: &mut Report) -> bool {
         let c = &self.config;
         self.arm.frames_into(&next.q, &mut self.frames.r, &mut self.frames.t);
-        let reach = c.clearance_m + c.warning_margin_m() + c.warning_hysteresis_m + REACH_M;
+        let reach = c.clearance_m + c.warning_margin_m() + c.warning_hysteresis_m + self.watch_m;
         let found = self.body.find(&self.frames.r, &self.frames.t, inputs.ahead, reach);
         report.distance_min = found.minimum;
         self.pairs.rows.clear();
