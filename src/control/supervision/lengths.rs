@@ -5,6 +5,9 @@
 //! wrong tension changes it, for it is geometry alone. An error `delta` of cable `c` leaves `r_c = (1 - P_cc) delta` there and
 //! less at every other cable, so the cable names itself: `delta = r_c / (1 - P_cc)` explains most of `|r|^2`. Three cables
 //! have one such number, which tells that one of them lies but not which.
+//!
+//! The arm's chords are shorter than its curve, by `theta^2/24` of an element that bends by theta, and by how much they are is
+//! known no better than the curve between two disks: so much is borne beside the limit.
 
 use crate::estimator::CableSpace;
 use crate::model::Arm;
@@ -46,6 +49,8 @@ pub struct LengthCheck {
     segments: Vec<(usize, usize)>,
     limit_m: f64,
     straight_m: Vec<f64>,
+    /// Length and number of elements of each segment.
+    elements: Vec<(f64, f64)>,
     difference: Vec<f64>,
     zeros: Vec<f64>,
     angles: Vec<f64>,
@@ -84,6 +89,11 @@ impl LengthCheck {
             base_residual: vec![0.0; cables],
             base_m: straight_m.clone(),
             straight_m,
+            elements: arm
+                .segment_elements
+                .iter()
+                .map(|e| (e.clone().map(|e| arm.elements[e].length).sum(), e.len() as f64))
+                .collect(),
             last_m: vec![f64::NAN; cables],
             still_s: vec![0.0; cables],
             suspect: None,
@@ -135,8 +145,9 @@ impl LengthCheck {
             *r -= base;
         }
         let (error, found) = self.worst();
-        self.evidence = error / self.limit_m;
-        let beyond = found.filter(|_| error > self.limit_m);
+        let borne_m = self.limit_m + self.chords_m(model_m);
+        self.evidence = error / borne_m;
+        let beyond = found.filter(|_| error > borne_m);
         let cable = beyond.map(|f| f.cable);
         self.lasted_s = if cable.is_some() && cable == self.suspect { self.lasted_s + h } else { 0.0 };
         self.suspect = cable;
@@ -151,6 +162,16 @@ impl LengthCheck {
         // Less motion than the limit tells no factor.
         found.factor = if moved.abs() > self.limit_m { shown / moved } else { f64::NAN };
         Some(found)
+    }
+
+    /// By how much the chords of the bent arm are shorter than its curve (m), all segments together.
+    fn chords_m(&mut self, model_m: &[f64]) -> f64 {
+        for ((d, l), straight) in self.difference.iter_mut().zip(model_m).zip(&self.straight_m) {
+            *d = l - straight;
+        }
+        self.space.angles_into(&self.difference, &self.zeros, &mut self.angles);
+        let of = |(&(length, n), a): (&(f64, f64), &[f64])| length * (a[0] * a[0] + a[1] * a[1]) / (24.0 * n * n);
+        self.elements.iter().zip(self.angles.chunks_exact(2)).map(of).sum()
     }
 
     /// The cable with the largest error that explains what no bend explains, and that error (m).
