@@ -59,6 +59,7 @@ pub struct LengthCheck {
     started: bool,
     base_residual: Vec<f64>,
     base_m: Vec<f64>,
+    base_chords_m: f64,
     /// Newest reading of each cable (m), and for how long it has been the same (s).
     last_m: Vec<f64>,
     still_s: Vec<f64>,
@@ -88,6 +89,7 @@ impl LengthCheck {
             started: false,
             base_residual: vec![0.0; cables],
             base_m: straight_m.clone(),
+            base_chords_m: 0.0,
             straight_m,
             elements: arm
                 .segment_elements
@@ -130,8 +132,10 @@ impl LengthCheck {
             let bent: f64 = self.space.lever(c).iter().zip(&self.angles).map(|(j, a)| j * a).sum();
             self.residual[c] = self.difference[c] - bent;
         }
+        let chords_m = self.chords_m(model_m);
         if !self.started {
             self.started = true;
+            self.base_chords_m = 0.0;
             self.base_residual.fill(0.0);
             self.base_m.copy_from_slice(&self.straight_m);
             // Such an error is no reference that is a little off: it counts from the straight arm on.
@@ -139,13 +143,14 @@ impl LengthCheck {
             if error < START_SHARE * self.limit_m {
                 self.base_residual.copy_from_slice(&self.residual);
                 self.base_m.copy_from_slice(lengths_m);
+                self.base_chords_m = chords_m;
             }
         }
         for (r, base) in self.residual.iter_mut().zip(&self.base_residual) {
             *r -= base;
         }
         let (error, found) = self.worst();
-        let borne_m = self.limit_m + self.chords_m(model_m);
+        let borne_m = self.limit_m + chords_m.max(self.base_chords_m);
         self.evidence = error / borne_m;
         let beyond = found.filter(|_| error > borne_m);
         let cable = beyond.map(|f| f.cable);
