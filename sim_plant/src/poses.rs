@@ -72,6 +72,10 @@ pub struct Shown {
     pub peak_to_peak: f64,
     /// Largest error of the estimated position (m).
     pub estimate_error: f64,
+    /// Share of all ticks, on the way too, in which that is within three standard deviations of the estimate.
+    pub within: f64,
+    /// Three standard deviations at the end (m).
+    pub three_sigma: f64,
     /// Largest speed of the tip (m/s), on the way too.
     pub speed_max: f64,
     /// Largest tension (N), on the way too.
@@ -88,6 +92,11 @@ pub struct Shown {
     pub roughness: f64,
     /// Growth of the motion from the first to the last third of the time watched (1/s).
     pub growth: f64,
+}
+
+/// Largest standard deviation of the tip's estimated position (m).
+fn governor_sigma(bench: &Bench) -> f64 {
+    bench.cycle.governor().covariance().element_sigma_m().last().copied().unwrap_or(0.0)
 }
 
 fn target_at(pose: &Pose, shape: bool) -> TargetInput {
@@ -126,7 +135,7 @@ pub fn show(
     let mut tip = bench.truth.tip().position;
     let mut last_u: Vec<f64> = bench.cycle.tensions_n().to_vec();
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    let (mut end, mut squares, mut count) = (None, 0.0, 0usize);
+    let (mut end, mut squares, mut count, mut within) = (None, 0.0, 0usize, 0usize);
     let mut thirds = [(Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)); 3];
     loop {
         let before = bench.time_s();
@@ -148,6 +157,9 @@ pub fn show(
         last_u.copy_from_slice(u);
         shown.tension_max = u.iter().copied().fold(shown.tension_max, f64::max);
         let estimate = (bench.cycle.estimated_tip() - now).norm();
+        let sigma = governor_sigma(bench);
+        within += usize::from(estimate <= 3.0 * sigma);
+        shown.three_sigma = 3.0 * sigma;
         if let Some(file) = &mut trace {
             let largest = last_u.iter().copied().fold(0.0, f64::max);
             write!(file, "{t:.3},{:.5},{:.5},{:.5},{estimate:.5},", now[0], now[1], now[2])?;
@@ -182,6 +194,7 @@ pub fn show(
             break;
         }
     }
+    shown.within = within as f64 / count.max(1) as f64;
     shown.peak_to_peak = (high - low).norm();
     let swing = |k: usize| (thirds[k].1 - thirds[k].0).norm();
     shown.growth = (swing(2) / swing(0)).ln() / (watch * 2.0 / 3.0);

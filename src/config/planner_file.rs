@@ -94,7 +94,7 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
     ]
 }
 
-const DAEMON: [Key; 11] = shared("2", "0.0036 L", &SWARM);
+const DAEMON: [Key; 11] = shared("2", "0.0018 L", &SWARM);
 const SCENARIO: [Key; 11] = shared("30", "0", &SCENARIO_SWARM);
 
 macro_rules! with_shared {
@@ -294,7 +294,7 @@ fn swarm(table: &Section<'_>, scale: &Scale) -> SwarmConfig {
 const LOOKAHEAD: f64 = 0.0784;
 /// Lengths over the arm's, and what they are on the paper's of 2.75 m: clearance in closed loop, margin of the warning
 /// subspace, its hysteresis, reach of the barrier.
-const CLEARANCE: f64 = 0.01 / 2.75;
+const CLEARANCE: f64 = 0.005 / 2.75;
 const WARNING: f64 = 0.01 / 2.75;
 const HYSTERESIS: f64 = 0.005 / 2.75;
 const ACTIVATION: f64 = 0.15 / 2.75;

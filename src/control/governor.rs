@@ -7,7 +7,8 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
-use crate::config::{ArmConfig, GovernorConfig, PlannerConfig, Scale};
+use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, PlannerConfig, Scale};
+use crate::estimator::PositionCovariance;
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
 use crate::posture::{
@@ -103,6 +104,10 @@ pub struct Governor {
     desired: Vec<f64>,
     before_desired: Vec<f64>,
     reference: Reference,
+    covariance: PositionCovariance,
+    sigmas: f64,
+    doubt: Vec<f64>,
+    possible_swing_m: f64,
     rate: Vec<f64>,
     acceleration: Vec<f64>,
     drift: Vec<f64>,
@@ -131,7 +136,13 @@ pub struct Governor {
 
 impl Governor {
     /// For an arm. Allocates.
-    pub fn new(arm: &Arm, config: &ArmConfig, settings: &GovernorConfig, planner: &PlannerConfig) -> Self {
+    pub fn new(
+        arm: &Arm,
+        config: &ArmConfig,
+        settings: &GovernorConfig,
+        planner: &PlannerConfig,
+        observer: &ObserverConfig,
+    ) -> Self {
         let scale = Scale::of(config);
         let tension_n = config.tension_n_min;
         let inverse = InverseSettings { attitude_length_m: settings.attitude_length_m, ..InverseSettings::default() };
@@ -173,6 +184,10 @@ impl Governor {
             desired: vec![0.0; count],
             before_desired: vec![0.0; count],
             reference: Reference::new(arm, config, planner.body_radius_m, &around),
+            covariance: PositionCovariance::new(arm, observer),
+            sigmas: observer.margin_sigmas,
+            doubt: vec![0.0; arm.elements.len()],
+            possible_swing_m: 0.0,
             rate: vec![0.0; count],
             acceleration: vec![0.0; count],
             drift: vec![0.0; count],
@@ -203,6 +218,21 @@ impl Governor {
     /// Swing of the arm beside its reference, as the motion in curvatures that is nearest to it (1/m).
     pub fn swing(&self) -> &[f64] {
         &self.swing
+    }
+
+    /// The swing that there may be, of the tip (m, peak to peak).
+    pub fn set_swing(&mut self, swing_m: f64) {
+        self.possible_swing_m = swing_m;
+    }
+
+    /// What the position of each element may be off by (m): [`ObserverConfig::margin_sigmas`] standard deviations.
+    pub fn doubt_m(&self) -> &[f64] {
+        &self.doubt
+    }
+
+    /// How well the estimate knows where the arm is.
+    pub const fn covariance(&self) -> &PositionCovariance {
+        &self.covariance
     }
 
     /// Mean curvatures to command (1/m): the reference's, and what takes energy out of the arm's swing.
@@ -592,6 +622,10 @@ impl Governor {
             return;
         }
         self.damp(h);
+        self.covariance.update(curvatures, self.reference.ends(), self.possible_swing_m);
+        let sigma = self.covariance.element_sigma_m();
+        self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma);
+        self.reference.set_doubt(&self.doubt);
         if self.kind == Kind::Rest && !on_path && self.holds_tip == Some(false) {
             (self.position, self.quaternion) = self.reference.rest().tip();
             self.holds_tip = Some(true);

@@ -56,6 +56,8 @@ pub struct Record {
     pub limits: Limits,
     /// Swing of the tip that there may be, peak to peak (m); 0 where nothing was watched yet.
     pub swing_m: f64,
+    /// Covariance of the estimated tip position (m^2, base frame), row by row; NaN where nothing was estimated yet.
+    pub tip_covariance_m2: [f64; 9],
     /// Drives.
     pub drives: DrivesPhase,
     /// Missed deadlines that are not forgotten.
@@ -138,6 +140,7 @@ impl Default for Record {
             fault_count: 0,
             limits: Limits::default(),
             swing_m: 0.0,
+            tip_covariance_m2: [f64::NAN; 9],
             drives: DrivesPhase::Off,
             deadlines_missed: 0,
             events_dropped: 0,

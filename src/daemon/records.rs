@@ -243,6 +243,7 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
     state.timing = timing(&record.timing);
     state.limits = u64::from(record.limits.0);
     state.swing_m = record.swing_m;
+    state.tip_covariance_m2 = record.tip_covariance_m2;
 }
 
 fn plan_into(record: &Record, warning: PlannerBranch, state: &mut State) {

@@ -8,6 +8,7 @@ use super::operator::{Address, OperatorError, Said, Word};
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use nalgebra::Matrix3;
 use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -92,6 +93,23 @@ pub struct SourceStatus {
     pub rejected: BTreeMap<String, u64>,
 }
 
+/// Where the arm is, as far as it is known.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TipStatus {
+    /// Estimated position of the tip (m, base frame).
+    pub position_m: [f64; 3],
+    /// Three standard deviations of it, in the direction in which they are largest (m); null where nothing was estimated yet.
+    pub three_sigma_m: Option<f64>,
+    /// Its distance from the target (m); null without a target for the tip.
+    pub error_m: Option<f64>,
+    /// Largest error of a mean curvature (1/m); null without a target for the shape.
+    pub curvature_error_1pm: Option<f64>,
+    /// Smallest distance between an obstacle and the arm's surface (m); null without obstacles.
+    pub nearest_m: Option<f64>,
+    /// Smallest and largest tension commanded (N).
+    pub tension_n: [f64; 2],
+}
+
 /// Everything.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusReport {
@@ -109,6 +127,8 @@ pub struct StatusReport {
     pub fault: Option<FaultStatus>,
     /// What is wrong now, the fault among it.
     pub alarms: Vec<Alarm>,
+    /// Where the arm is, as far as it is known.
+    pub tip: TipStatus,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -309,6 +329,7 @@ impl Shared {
             mode: mode_text(state.supervisor).into(),
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
             alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
+            tip: tip_status(&state),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,
@@ -329,6 +350,26 @@ impl Shared {
             time_us,
             threads,
         }
+    }
+}
+
+fn tip_status(state: &State) -> TipStatus {
+    let known = |x: f64| x.is_finite().then_some(x);
+    let covariance = Matrix3::from_column_slice(&state.tip_covariance_m2);
+    let largest = known(covariance.sum()).map(|_| covariance.symmetric_eigenvalues().max().max(0.0));
+    let distances = &state.distances[..(state.distance_count as usize).min(state.distances.len())];
+    let tensions = &state.tension_command_n[..(state.cable_count as usize).min(state.tension_command_n.len())];
+    TipStatus {
+        position_m: state.tip_position_m,
+        three_sigma_m: largest.map(|largest| 3.0 * largest.sqrt()),
+        error_m: known(state.tip_error_m),
+        curvature_error_1pm: known(state.curvature_error_1pm),
+        nearest_m: distances.iter().map(|d| d.surface_distance_m).reduce(f64::min).and_then(known),
+        tension_n: [
+            tensions.iter().copied().fold(f64::NAN, f64::min),
+            tensions.iter().copied().fold(f64::NAN, f64::max),
+        ]
+        .map(|x| if x.is_nan() { 0.0 } else { x }),
     }
 }
 

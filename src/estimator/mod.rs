@@ -15,13 +15,16 @@
 //! - `cable_space`: lengths to bend angles, two per segment, and back.
 //! - `passive`: the observer.
 //! - `start`: the first estimate, from lengths and tensions at rest.
+//! - `covariance`: how well the estimate knows where the arm is.
 //! - `health`: settling and innovation tests.
 
 mod cable_space;
+mod covariance;
 mod health;
 mod passive;
 mod start;
 
 pub use cable_space::CableSpace;
+pub use covariance::PositionCovariance;
 pub use passive::{Observer, Update};
 pub use start::StartError;

@@ -197,6 +197,16 @@ impl Reference {
         &mut self.rest
     }
 
+    /// Sensitivity of the segments' ends to the curvatures by the last linearisation (m per 1/m), three rows for each.
+    pub fn ends(&self) -> &[f64] {
+        &self.ends
+    }
+
+    /// What the position of each element may be off by (m): it keeps so much farther away.
+    pub fn set_doubt(&mut self, doubt_m: &[f64]) {
+        self.body.set_doubt(doubt_m);
+    }
+
     /// Change of the mean curvatures in the last step (1/m).
     pub fn delta(&self) -> &[f64] {
         &self.delta

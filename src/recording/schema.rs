@@ -164,6 +164,7 @@ impl Fields for State {
         sink.message("timing", &self.timing);
         sink.u64("limits", self.limits);
         sink.f64("swing_m", self.swing_m);
+        sink.array("tip_covariance_m2", &self.tip_covariance_m2);
     }
 }
 

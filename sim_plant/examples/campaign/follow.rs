@@ -67,6 +67,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
     let mut trace = trace.map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
     let (mut sum, mut count, mut worst, mut least, mut rough) = (0.0, 0usize, (0.0f64, 0.0), (f64::INFINITY, 0.0), 0.0);
     let (mut estimate_worst, mut turn_worst) = (0.0f64, 0.0f64);
+    let (mut inside, mut three_sigma) = (0usize, 0.0f64);
     let mut last: Vec<f64> = bench.cycle.tensions_n().to_vec();
     let mut failed = String::new();
     let mut speed = 0.0f64;
@@ -145,6 +146,9 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
             count += 1;
             rough += change;
             estimate_worst = estimate_worst.max(estimate);
+            let sigma = bench.cycle.governor().covariance().element_sigma_m().last().copied().unwrap_or(0.0);
+            inside += usize::from(estimate <= 3.0 * sigma);
+            three_sigma += 3.0 * sigma;
             if error > worst.0 {
                 worst = (error, now);
             }
@@ -225,11 +229,13 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
         curvature = bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     }
     format!(
-        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm, turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",
+        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm ({:.2} % within 3 sigma of {:.1} mm), turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",
         1e3 * sum / n,
         1e3 * worst.0,
         worst.1,
         1e3 * estimate_worst,
+        100.0 * inside as f64 / n,
+        1e3 * three_sigma / n,
         turn_worst,
         1e3 * least.0,
         least.1,

@@ -200,7 +200,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             estimate: Estimate::default(),
             postures: Postures::new(settings, &arm),
             motion: MotionWatch::new(settings.arm.length_m(), cables),
-            governor: Governor::new(&arm, &settings.arm, &settings.governor, planning),
+            governor: Governor::new(&arm, &settings.arm, &settings.governor, planning, &settings.observer),
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],

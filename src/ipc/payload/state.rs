@@ -166,6 +166,8 @@ pub struct State {
     pub limits: u64,
     /// Swing of the tip beside its motion that there may be, peak to peak (m).
     pub swing_m: f64,
+    /// Covariance of the estimated tip position (m^2, base frame), row by row; NaN where nothing was estimated yet.
+    pub tip_covariance_m2: [f64; 9],
 }
 
 impl Default for State {
@@ -219,6 +221,7 @@ impl Default for State {
             timing: TickTiming::default(),
             limits: 0,
             swing_m: 0.0,
+            tip_covariance_m2: [f64::NAN; 9],
         }
     }
 }
