@@ -54,6 +54,8 @@ fn text(r: &StatusReport) -> String {
         line(format!("alarm ({}): {}, since {}", alarm.about, alarm.what, alarm.since_utc));
         line(format!("  what it does: {}; what clears it: {}", alarm.does, alarm.clears));
     }
+    let until = if r.speed_scale < 1.0 { ", until the arm is disarmed or `sinew speed 100%`" } else { "" };
+    line(format!("speed: {} % of the configured{until}", (1e4 * r.speed_scale).round() / 100.0));
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
         "loop: {} ticks of {} ms ({clock}); deadlines missed: {} ({} left out, {} overran); {} records dropped",

@@ -46,7 +46,7 @@ pub use drives::{
 };
 pub use error::ConfigError;
 pub use friction::{FRICTION, FrictionConfig};
-pub use governor::{GOVERNOR, GovernorConfig};
+pub use governor::{GOVERNOR, GovernorConfig, OutOfReach};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};

@@ -19,6 +19,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.fault = self.supervisor.latch().first;
         r.fault_count = self.supervisor.latch().count;
         r.swing_m = self.supervision.swing_m();
+        r.speed_scale = self.speed_scale;
+        r.reach = self.governor.reach().copied();
         r.drives = inputs.drives.phase;
         r.deadlines_missed = self.supervisor.deadlines_missed();
         r.events_dropped = self.supervisor.events_mut().dropped;
