@@ -5,7 +5,9 @@ use nalgebra::Vector3;
 use sim_plant::bench::Bench;
 use sim_plant::poses::{Pose, random};
 use sim_plant::truth::TruthSettings;
-use sinew::config::{Config, OutOfReach};
+use sinew::collision::Shape;
+use sinew::config::{Config, OutOfReach, ShapeConfig};
+use sinew::control::obstacles::Placement;
 use sinew::control::{Limit, Mode, Request, Settings, Target, TargetInput};
 
 /// What the encoders' steps and the arm's swing add to a speed that is asked for, in share of the full one.
@@ -191,4 +193,25 @@ fn a_target_that_leaves_the_reach_is_followed_to_its_edge_and_there_the_arm_hold
     assert!(bench.record().limits.contains(Limit::OutOfReach) && bench.record().reach.is_some_and(|r| r.is_out));
     let (fastest, gone) = run(&mut bench, 5.0, None, leave);
     assert!(fastest < 0.02 && gone < 0.005, "{fastest} m/s, {gone} m");
+}
+
+#[test]
+fn nothing_wild_changes_a_tension_faster_than_the_arm_is_declared_to() {
+    let (config, mut bench) = armed(|_| ());
+    let most = config.arm.tension_rate_npsmax;
+    assert!(most.is_finite());
+    // A kilometre away, somewhere else, and a ball that is said to be on the arm.
+    for position in [[1000.0, 0.0, 0.0], [0.0, -1000.0, 300.0]] {
+        bench.target = Some(target(&far_away(position), Vector3::zeros()));
+        run(&mut bench, 6.0, Some(Request::Track), |_| ());
+    }
+    let shape = Shape::new(&ShapeConfig::Ball { radius_m: 0.5 }).expect("a ball");
+    bench.obstacles.insert(1, &shape).expect("a place for it");
+    let at: [f64; 3] = (0.6 * bench.truth.tip().position).into();
+    let place = Placement { position_now_m: at, position_ahead_m: at, quaternion: [1.0, 0.0, 0.0, 0.0], growth_m: 0.0 };
+    bench.obstacles.place(0, &place).expect("placed");
+    run(&mut bench, 10.0, None, |_| ());
+    let found = bench.tension_rate_max_nps;
+    assert!(found > 0.0 && found <= most * (1.0 + 1e-9), "{found} N/s, permitted {most}");
+    assert!(bench.broken.is_none());
 }
