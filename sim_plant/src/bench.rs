@@ -55,6 +55,8 @@ pub struct Bench {
     pub lies: Vec<Lie>,
     /// Why the plant could not go on; it stays where it was.
     pub broken: Option<String>,
+    /// Largest change of a tension per second while the planner was at work (N/s).
+    pub tension_rate_max_nps: f64,
     /// Whether brakes hold the arm.
     braked: bool,
     start_n: Vec<f64>,
@@ -87,6 +89,7 @@ impl Bench {
             demand: ObstacleDemand::Proceed,
             lies: vec![Lie::NONE; cables],
             broken: None,
+            tension_rate_max_nps: 0.0,
             braked: true,
             start_n: settings.start_tensions_n.clone(),
             before_m: straight_m.clone(),
@@ -134,6 +137,11 @@ impl Bench {
         self.braked &= self.cycle.tensions_n() != self.start_n;
         if self.braked {
             return output;
+        }
+        if self.cycle.supervisor().is_planning() {
+            let changes = self.cycle.tensions_n().iter().zip(&self.told_n).map(|(now, before)| (now - before).abs());
+            self.tension_rate_max_nps =
+                changes.fold(0.0, f64::max).max(self.tension_rate_max_nps * self.period_s) / self.period_s;
         }
         self.told_n.copy_from_slice(self.cycle.tensions_n());
         let told = self.told_n.iter().zip(&self.lies);

@@ -4,7 +4,7 @@ use crate::bench::Bench;
 use crate::truth::TruthSettings;
 use nalgebra::{Vector3, Vector4};
 use sinew::collision::{Body, BodyGeometry, Shape};
-use sinew::config::{BodyModel, Config, Motion, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
+use sinew::config::{BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
 use sinew::control::obstacles::Placement;
 use sinew::control::{CURVATURES_MAX, Mode, Request, Settings, Target, TargetInput};
 use sinew::model::Arm;
@@ -26,6 +26,8 @@ pub struct Followed {
     pub distance: f64,
     /// Root mean square of the change of a tension a tick over the largest tension.
     pub roughness: f64,
+    /// Largest change of a tension per time, over the largest tension times the first angular frequency.
+    pub tension_rate: f64,
     /// Largest error of the estimated tip over the arm's length.
     pub estimate_error: f64,
     /// Why it ended early.
@@ -177,6 +179,8 @@ pub fn follow(
         }
     }
     shown.error.0 /= count.max(1) as f64;
+    let scale = Scale::of(&config.arm);
+    shown.tension_rate = bench.tension_rate_max_nps / (scale.tension_n * scale.omega_radps);
     shown.roughness = (squares / count.max(1) as f64).sqrt() / config.arm.tension_n_max;
     if let Task::Shape { curvatures_1pm, .. } = &scenario.task {
         let largest = curvatures_1pm.iter().fold(0.0f64, |a, k| a.max(k.abs()));

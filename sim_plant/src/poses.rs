@@ -80,6 +80,8 @@ pub struct Shown {
     pub speed_max: f64,
     /// Largest tension (N), on the way too.
     pub tension_max: f64,
+    /// Largest change of a tension per second (N/s), since the arm was armed.
+    pub tension_rate_max: f64,
     /// Tensions at their bound at the end.
     pub saturated: usize,
     /// Largest error of a mean curvature at the end (1/m).
@@ -201,6 +203,7 @@ pub fn show(
     shown.roughness = (squares / count.max(1) as f64).sqrt();
     let k = bench.truth.curvatures();
     shown.curvature_error = k.iter().zip(&pose.curvatures).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    shown.tension_rate_max = bench.tension_rate_max_nps;
     shown.reach = bench.cycle.governor().outcome().map_or(f64::NAN, |o| o.position_m);
     shown.saturated = last_u.iter().filter(|u| **u > 0.999 * bench.truth.config().tension_n_max).count();
     Ok(shown)

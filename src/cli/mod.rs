@@ -78,6 +78,11 @@ enum Command {
     Clear(requests::Ask),
     /// Go to the home pose.
     Home(requests::Ask),
+    /// Move at a share of the configured speed, 1% to 100%.
+    ///
+    /// It counts on every way to a target and back, smoothly from where the arm is. Giving way to obstacles, and a stop, keep
+    /// their own speed. It is kept until another is given; whenever the arm is disarmed it is 100% again.
+    Speed(requests::Speed),
     /// Give one target, which is kept until another comes.
     Target(requests::TargetArguments),
     /// Inject an obstacle by hand, or list those that the loop knows.
@@ -136,6 +141,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::EmergencyStop(stop) => stop.run(),
         Command::Clear(ask) => ask.run(RequestKind::Clear),
         Command::Home(ask) => ask.run(RequestKind::Home),
+        Command::Speed(speed) => speed.run(),
         Command::Target(target) => target.run(),
         Command::Obstacles(obstacles) => obstacles.run(),
     }

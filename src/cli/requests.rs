@@ -1,11 +1,15 @@
-//! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `target`: what an operator asks for.
+//! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `speed`, `target`: what an operator asks for.
 
 use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
 use super::{Outcome, complain};
 use clap::{ArgGroup, Args};
-use sinew::daemon::operator::{OperatorError, Said, Word};
-use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, Target, TargetMode};
+use miette::IntoDiagnostic;
+use sinew::daemon::ReachStatus;
+use sinew::daemon::operator::{OperatorError, Said, Word, parse_speed};
+use sinew::ipc::Client;
+use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, SupervisorState, Target, TargetMode};
 use sinew_hal::peer::user_text;
+use std::time::{Duration, Instant};
 
 /// Arguments of a request without any of its own.
 #[derive(Debug, Args)]
@@ -24,6 +28,10 @@ impl Ask {
             Err(error) => return Ok(not_connected(&error)),
         };
         match client.ask(kind, ANSWER) {
+            Ok(response) if kind == RequestKind::Track && response.is_accepted() => {
+                say(kind.text(), &response)?;
+                say_reach(&client)
+            }
             Ok(response) => say(kind.text(), &response),
             Err(error) => Ok(not_connected(&error)),
         }
@@ -74,6 +82,57 @@ impl EmergencyStop {
     }
 }
 
+/// Longest wait for what the arm finds out about a target: it looks from several postures.
+const REACH: Duration = Duration::from_secs(10);
+
+/// Waits until the loop has found out whether a tip target that is followed from now on is within reach, and says so where it is
+/// not.
+fn say_reach(client: &Client) -> miette::Result<Outcome> {
+    let states = client.states().into_diagnostic()?;
+    let deadline = Instant::now() + REACH;
+    let mut first = None;
+    while Instant::now() < deadline {
+        let Some(state) = states.wait(Duration::from_secs(1)).into_diagnostic()? else { break };
+        // The tick of the answer may have seen the target before; the next one has not.
+        let since = *first.get_or_insert(state.header.tick);
+        if state.header.tick < since + 3 {
+            continue;
+        }
+        if let Some(reach) = ReachStatus::of(&state) {
+            let refused = reach.refused;
+            complain(format_args!("the target is out of reach: {}", reach.text()));
+            return Ok(if refused { Outcome::Failed } else { Outcome::Done });
+        }
+        let looks = state.target_mode == TargetMode::Tip.wire() && state.reach_miss_m.is_nan();
+        if state.supervisor != SupervisorState::Tracking.wire() || !looks {
+            break;
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+/// Arguments of `sinew speed`.
+#[derive(Debug, Args)]
+pub(crate) struct Speed {
+    #[command(flatten)]
+    ask: Ask,
+    /// Share of the configured speed: 1% to 100%, or 0.01 to 1.
+    #[arg(value_name = "SPEED", allow_hyphen_values = true)]
+    speed: String,
+}
+
+impl Speed {
+    pub(crate) fn run(&self) -> miette::Result<Outcome> {
+        match parse_speed(&self.speed) {
+            Ok(scale) => self.ask.order(Word::Speed(scale)),
+            Err(why) => {
+                complain(format_args!("sinew speed: {why}"));
+                Ok(Outcome::Unusable)
+            }
+        }
+    }
+}
+
 /// Source id under which this command gives targets.
 const SOURCE_ID: u32 = 0x5157;
 
@@ -112,6 +171,10 @@ impl TargetArguments {
         let mut request = Request { target, ..Request::new(RequestKind::SetTarget) };
         request.header.source_id = SOURCE_ID;
         match client.request(request, ANSWER) {
+            Ok(response) if response.is_accepted() && response.supervisor == SupervisorState::Tracking.wire() => {
+                say("target", &response)?;
+                say_reach(&client)
+            }
             Ok(response) => say("target", &response),
             Err(error) => Ok(not_connected(&error)),
         }

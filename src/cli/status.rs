@@ -64,6 +64,8 @@ fn text(r: &StatusReport) -> String {
     t.curvature_error_1pm.iter().for_each(|e| line(format!("  mean curvatures within {e:.4} 1/m of their target")));
     t.nearest_m.iter().for_each(|d| line(format!("  nearest obstacle: {:.1} mm", 1e3 * d)));
     line(format!("tensions: {:.1} to {:.1} N", t.tension_n[0], t.tension_n[1]));
+    let until = if r.speed_scale < 1.0 { ", until the arm is disarmed or `sinew speed 100%`" } else { "" };
+    line(format!("speed: {} % of the configured{until}", (1e4 * r.speed_scale).round() / 100.0));
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
         "loop: {} ticks of {} ms ({clock}); deadlines missed: {} ({} left out, {} overran); {} records dropped",

@@ -87,8 +87,8 @@ pub static ARM: TableSpec = TableSpec {
             "tension_rate_npsmax",
             Kind::Float(Range::above(0.0, 1e7)),
             "N/s",
-            "unlimited",
-            "Largest change of a tension per second; part of each tick's box.",
+            "5 tension_n_max omega; unlimited in a scenario's plan",
+            "Largest change of a tension per second, however a target is given; part of each tick's box. omega is the first angular frequency of the straight arm.",
         ),
         Key::default(
             "payload_mass_kg",

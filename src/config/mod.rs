@@ -46,7 +46,7 @@ pub use drives::{
 };
 pub use error::ConfigError;
 pub use friction::{FRICTION, FrictionConfig};
-pub use governor::{GOVERNOR, GovernorConfig};
+pub use governor::{GOVERNOR, GovernorConfig, OutOfReach};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};
@@ -182,8 +182,12 @@ impl Config {
         Self::build_for(document, arm_file::arm(document))
     }
 
-    fn build_for(document: &Document<'_>, arm: ArmConfig) -> Self {
+    fn build_for(document: &Document<'_>, mut arm: ArmConfig) -> Self {
         let scale = Scale::of(&arm);
+        if arm.tension_rate_npsmax.is_infinite() {
+            // In closed loop alone: a scenario's plan is the paper's, without one.
+            arm.tension_rate_npsmax = scale.tension_rate_npsmax();
+        }
         let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
         let planner_table = document.table_or_defaults(&PLANNER);
         let given_s = planner_table.float_opt("lookahead_s");

@@ -32,11 +32,20 @@ impl Scale {
         }
     }
 
+    /// Largest change of a tension per second in closed loop (N/s), where none is given.
+    pub fn tension_rate_npsmax(&self) -> f64 {
+        TENSION_RATE * self.tension_n * self.omega_radps
+    }
+
     /// So many times the inverse of the first angular frequency (s).
     pub fn time_s(&self, share: f64) -> f64 {
         share / self.omega_radps
     }
 }
+
+/// Largest rate of a tension over the largest tension times the first angular frequency: twice what the loop was seen to use
+/// (docs/DESIGN.md).
+const TENSION_RATE: f64 = 5.0;
 
 /// Steps of the power iteration; the second frequency is at least 2.5 times the first, so 12 would do.
 const ITERATIONS: usize = 40;

@@ -7,7 +7,9 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
-use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, PlannerConfig, Scale};
+use super::pace::Pace;
+use super::reach::Reach;
+use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, OutOfReach, PlannerConfig, Scale};
 use crate::estimator::PositionCovariance;
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
@@ -48,8 +50,6 @@ const BLOCKED_RAD: f64 = 0.1;
 /// By how much farther than the planner the reference keeps from obstacles, over the arm's length: the planner's rows are
 /// for what the reference could not know.
 const AHEAD_OF_PLANNER: f64 = 7e-4;
-/// What a posture's load beyond it counts as, over the reach.
-const OVERLOAD: f64 = 100.0;
 /// Root mean square speed of the arm's mass up to which a tip keeps its task, over the arm's length (1/s).
 const QUIET: f64 = 0.04;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
@@ -95,6 +95,11 @@ pub struct Governor {
     /// Best equilibrium so far of those starts, and its error.
     best: RestingArm,
     best_error: f64,
+    best_load: f64,
+    /// How near the arm gets to the tip target; `None` while that is looked for.
+    reach: Option<Reach>,
+    /// Time for which a tip target that is followed has been missed with nothing in the way (s).
+    missed_s: f64,
     goal: Vec<f64>,
     /// Coefficients of `e` over time/duration, six per curvature.
     offset: Vec<[f64; 6]>,
@@ -116,11 +121,11 @@ pub struct Governor {
     swing: Vec<f64>,
     mean: Vec<f64>,
     answer: Vec<f64>,
-    /// Pace at which targets are approached, and the one asked for: 1 unless something asks to slow down.
-    pace: f64,
-    pace_wanted: f64,
-    /// Target of the tick before.
+    /// Pace at which targets are approached: 1 unless something asks to slow down.
+    pace: Pace,
+    /// Target of the tick before, with the limits on its motion, and as it was given.
     last: (Vector3<f64>, Vector4<f64>),
+    wished: (Vector3<f64>, Vector4<f64>),
     met: Met,
     /// Time for which the way has been blocked (s).
     blocked_s: f64,
@@ -177,6 +182,9 @@ impl Governor {
             holds_tip: None,
             best: RestingArm::new(arm),
             best_error: f64::INFINITY,
+            best_load: 0.0,
+            reach: None,
+            missed_s: 0.0,
             goal: vec![0.0; count],
             offset: vec![[0.0; 6]; count],
             duration: 0.0,
@@ -195,9 +203,9 @@ impl Governor {
             swing: vec![0.0; count],
             mean: vec![0.0; count],
             answer: vec![0.0; count],
-            pace: 1.0,
-            pace_wanted: 1.0,
+            pace: Pace::new(settings),
             last: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
+            wished: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
             met: Met::default(),
             blocked_s: 0.0,
             stuck_s: 0.0,
@@ -264,9 +272,14 @@ impl Governor {
         &self.reference.rest().state().q
     }
 
-    /// Pace at which targets are to be approached, taken on within some tenths of a second; evasion keeps its own.
+    /// Pace at which targets are to be approached, for supervision; evasion keeps its own.
     pub fn set_pace(&mut self, pace: f64) {
-        self.pace_wanted = pace;
+        self.pace.set_pace(pace);
+    }
+
+    /// Share of the configured speed that an operator asks for; the smaller of pace and scale counts.
+    pub fn set_scale(&mut self, scale: f64) {
+        self.pace.set_scale(scale);
     }
 
     /// What the last step met.
@@ -320,6 +333,8 @@ impl Governor {
         self.holds_tip = None;
         self.solving = None;
         self.outcome = None;
+        self.reach = None;
+        self.pace.restart();
         self.blocked = false;
         self.blocked_s = 0.0;
         self.stuck_s = 0.0;
@@ -346,7 +361,7 @@ impl Governor {
         around: Option<&Surroundings<'_>>,
     ) {
         self.before_desired.copy_from_slice(&self.desired);
-        self.pace += h / (PACE_S + h) * (self.pace_wanted - self.pace);
+        self.pace.advance(h);
         match *wish {
             Wish::Rest => {
                 if self.kind != Kind::Rest {
@@ -362,6 +377,9 @@ impl Governor {
     /// A posture is held as it is, a tip where it comes to rest.
     fn come_to_rest(&mut self) {
         self.holds_tip = if self.kind == Kind::Tip { Some(false) } else { None };
+        if !self.is_refused() {
+            self.reach = None;
+        }
         self.kind = Kind::Rest;
         self.solving = None;
         self.outcome = None;
@@ -384,6 +402,7 @@ impl Governor {
         self.kind = Kind::Shape;
         self.solving = None;
         self.outcome = None;
+        self.reach = None;
         for i in 0..self.goal.len() {
             // What no cable moves is left as it is.
             self.goal[i] = if self.reference.rest().is_moved(i) { kappa[i] } else { self.reference()[i] };
@@ -393,15 +412,29 @@ impl Governor {
         }
     }
 
+    /// Speed of a tip target that is followed (m/s), and rate of its turning (rad/s), at the present pace.
+    fn limits(&self) -> (f64, f64) {
+        (self.pace.now() * self.settings.speed_mps, self.pace.now() * self.settings.turn_rate_radps)
+    }
+
     fn follow_tip(&mut self, h: f64, position: &Vector3<f64>, quaternion: &Vector4<f64>) {
         let gap = position - self.position;
         let turn = rotation_between(&self.quaternion, quaternion);
-        let new = self.kind != Kind::Tip || gap.norm() > self.step_m || turn.norm() > STEP_RAD;
+        // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
+        // rest of the way is a path.
+        let (moved, turned) = ((position - self.wished.0).norm(), rotation_between(&self.wished.1, quaternion).norm());
+        let (speed, rate) = self.limits();
+        let is_step = |gap: f64, turn: f64| gap > self.step_m || turn > STEP_RAD;
+        let runs = moved > speed * h || turned > rate * h;
+        let new = self.kind != Kind::Tip || is_step(moved, turned) || (!runs && is_step(gap.norm(), turn.norm()));
+        self.wished = (*position, *quaternion);
         if new {
             self.kind = Kind::Tip;
             self.position = *position;
             self.quaternion = *quaternion;
             self.best_error = f64::INFINITY;
+            self.reach = None;
+            self.missed_s = 0.0;
             self.solving = Some((0, 0));
             // Of all postures the one that is nearest.
             self.inverse.rest_mut().copy_from(self.reference.rest());
@@ -411,9 +444,9 @@ impl Governor {
             self.last = (self.position, self.quaternion);
             // A target that runs faster than the limit is followed at the limit.
             let share = |size: f64, most: f64| if size > most { most / size } else { 1.0 };
-            let s = share(gap.norm(), self.pace * self.settings.speed_mps * h);
+            let s = share(gap.norm(), speed * h);
             self.position += s * gap;
-            let s = share(turn.norm(), self.pace * self.settings.turn_rate_radps * h);
+            let s = share(turn.norm(), rate * h);
             self.quaternion = product(&self.quaternion, &from_rotation_vector(&(s * turn))).normalize();
         }
         match self.solving {
@@ -452,10 +485,11 @@ impl Governor {
                                 &mut self.drift,
                             ));
                         }
-                        let over = OVERLOAD * self.settings.reach_m * (load - 1.0).max(0.0);
-                        let error = outcome.position_m + 0.1 * outcome.attitude_rad + over;
+                        let reach = self.reach_of(self.inverse.rest(), load);
+                        let error = reach.error_m(self.settings.reach_m, self.settings.attitude_length_m);
                         if error < self.best_error {
                             self.best_error = error;
+                            self.best_load = load;
                             self.best.copy_from(self.inverse.rest());
                             self.outcome = Some(outcome);
                         }
@@ -478,20 +512,57 @@ impl Governor {
                 self.inverse.centre_at(std::iter::repeat(0.0));
                 continue;
             }
-            if self.best_error.is_finite() {
-                self.inverse.rest_mut().copy_from(&self.best);
+            self.solving = None;
+            if !self.best_error.is_finite() {
+                // No equilibrium at all was found on the way there.
+                self.reach = Some(Reach { is_out: true, ..self.reach_of(self.reference.rest(), 0.0) });
+                return;
+            }
+            self.reach = Some(self.reach_of(&self.best, self.best_load));
+            self.inverse.rest_mut().copy_from(&self.best);
+            // A target that is refused moves nothing.
+            if !self.is_refused() {
                 self.goal.copy_from_slice(self.best.curvatures());
                 self.begin(None);
             }
-            self.solving = None;
             return;
         }
         self.solving = Some((iterations, starts));
     }
 
-    /// Whether the target is farther away than its posture reaches.
+    fn reach_of(&self, rest: &RestingArm, load: f64) -> Reach {
+        let target = (self.position, self.quaternion);
+        Reach::of(rest, load, &target, self.settings.reach_m, self.settings.attitude_length_m)
+    }
+
+    /// How near the arm gets to the tip target; `None` without one, or while that is looked for. Of a target that was refused
+    /// it stays until there is another.
+    pub fn reach(&self) -> Option<&Reach> {
+        self.reach.as_ref()
+    }
+
+    /// Whether the target is farther away than the arm reaches.
     pub fn is_out_of_reach(&self) -> bool {
-        self.kind == Kind::Tip && self.solving.is_none() && self.best_error > self.settings.reach_m
+        self.kind == Kind::Tip && self.reach.is_some_and(|reach| reach.is_out)
+    }
+
+    /// Whether the target is out of reach and is not to be approached: the arm is to hold.
+    pub fn is_refused(&self) -> bool {
+        self.settings.out_of_reach == OutOfReach::Refuse && self.is_out_of_reach()
+    }
+
+    /// While a target is followed: whether it has left the reach, or is back. What an obstacle, or the arm's lag, keeps from it
+    /// has not.
+    fn watch_reach(&mut self, h: f64) {
+        let now = self.reach_of(self.reference.rest(), self.met.load_max);
+        if now.is_out && !self.met.hindered {
+            self.missed_s += h;
+        } else if !now.is_out {
+            self.missed_s = 0.0;
+        }
+        let was_out = self.is_out_of_reach();
+        let is_out = now.is_out && (was_out || self.missed_s > MISSED_S);
+        self.reach = Some(Reach { is_out, ..now });
     }
 
     /// Other postures to start from: straight, then bent towards one side after another.
@@ -506,12 +577,19 @@ impl Governor {
         }
     }
 
-    /// Makes `e` what lies between reference and goal, with the reference's motion, and fade.
+    /// Makes `e` what lies between reference and goal, with the reference's motion, and fade; within a time that is given, at
+    /// the limits of a path without one.
     fn begin(&mut self, duration_s: Option<f64>) {
-        let t = duration_s.unwrap_or_else(|| self.duration_for());
+        // The path's own time goes by at the pace: a given time is one of the clock.
+        let pace = self.pace.now();
+        let t = duration_s.map_or_else(|| self.duration_for(), |real_s| pace * real_s);
+        let real_s = t / pace;
         for i in 0..self.goal.len() {
-            let (c0, c1, c2) =
-                (self.reference()[i] - self.goal[i], self.rate[i] * t, 0.5 * self.acceleration[i] * t * t);
+            let (c0, c1, c2) = (
+                self.reference()[i] - self.goal[i],
+                self.rate[i] * real_s,
+                0.5 * self.acceleration[i] * real_s * real_s,
+            );
             self.offset[i] = [
                 c0,
                 c1,
@@ -574,7 +652,7 @@ impl Governor {
         (PEAK_RATE * fastest / s.speed_mps)
             .max((PEAK_ACCELERATION * fastest / s.acceleration_mps2).sqrt())
             .max(PEAK_RATE * bend / s.bend_rate_radps)
-            .max(4.0 * speed / s.acceleration_mps2)
+            .max(4.0 * speed * self.pace.now() / s.acceleration_mps2)
             .max(0.1)
     }
 
@@ -584,7 +662,8 @@ impl Governor {
     }
 
     fn move_on(&mut self, h: f64, q: &[f64], curvatures: &[f64], around: Option<&Surroundings<'_>>) {
-        let mut pace = self.pace;
+        let full_pace = self.pace.now();
+        let mut pace = full_pace;
         self.blocked = false;
         let on_path = self.on_path();
         if on_path {
@@ -602,7 +681,7 @@ impl Governor {
             self.time = self.duration;
         }
         let away = self.kind == Kind::Shape && self.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
-        self.stuck_s = if away && !on_path { self.stuck_s + h } else { 0.0 };
+        self.stuck_s = if away && !on_path { self.stuck_s + full_pace * h } else { 0.0 };
         let x = if self.duration > 0.0 { self.time / self.duration } else { 1.0 };
         let t = self.duration.max(1e-9);
         for i in 0..self.goal.len() {
@@ -634,7 +713,7 @@ impl Governor {
             self.last = (self.position, self.quaternion);
         }
         let steers_tip = match self.kind {
-            Kind::Tip => self.solving.is_none(),
+            Kind::Tip => self.solving.is_none() && !self.is_refused(),
             Kind::Rest => self.holds_tip == Some(true),
             Kind::Shape => false,
         };
@@ -652,7 +731,8 @@ impl Governor {
             let gap = Vector3::new(lacks[0], lacks[1], lacks[2]).norm();
             let turn = Vector3::new(lacks[3], lacks[4], lacks[5]).norm();
             let least = |size: f64, most: f64| if share * size > most { most / size } else { share };
-            let (sr, st) = (least(gap, self.settings.speed_mps * h), least(turn, self.settings.turn_rate_radps * h));
+            let (speed, rate) = self.limits();
+            let (sr, st) = (least(gap, speed * h), least(turn, rate * h));
             let mut change = [0.0; POSE];
             for r in 0..POSE {
                 change[r] = moved[r] - if r < 3 { sr } else { st } * lacks[r];
@@ -664,15 +744,15 @@ impl Governor {
             // Back to the path as slowly as anywhere.
             let lacks = self.bend_between(kappa, &self.before_desired);
             let share = (h / self.approach_s).min(1.0);
-            let most = self.settings.bend_rate_radps * h;
+            let most = full_pace * self.settings.bend_rate_radps * h;
             let back = if share * lacks > most { most / lacks } else { share };
             for i in 0..self.drift.len() {
                 self.drift[i] = self.desired[i] - self.before_desired[i] + back * (self.before_desired[i] - kappa[i]);
             }
             // What obstacles held back is not made up for faster than any way is gone.
-            let far = self.reference.farthest(&self.drift);
-            if far > self.settings.speed_mps * h {
-                self.drift.iter_mut().for_each(|d| *d *= self.settings.speed_mps * h / far);
+            let (far, most) = (self.reference.farthest(&self.drift), full_pace * self.settings.speed_mps * h);
+            if far > most {
+                self.drift.iter_mut().for_each(|d| *d *= most / far);
             }
         }
         let wanted = Wanted { drift: &self.drift, drift_weight, tip };
@@ -687,12 +767,15 @@ impl Governor {
             self.goal.copy_from_slice(self.reference.rest().curvatures());
             self.desired.copy_from_slice(&self.goal);
             self.acceleration.fill(0.0);
+            if self.kind == Kind::Tip {
+                self.watch_reach(h);
+            }
         }
     }
 }
 
-/// Time constant with which another pace is taken on (s).
-const PACE_S: f64 = 0.3;
+/// Time for which a target that is followed may be missed before it counts as out of reach (s).
+const MISSED_S: f64 = 1.0;
 /// Over the inverse of the first angular frequency: time constants of the mean that a swing goes about, with which the answer
 /// to a swing fades, and with which the reference makes up for what it lacks.
 const MEAN: f64 = 2.35;

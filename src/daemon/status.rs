@@ -5,6 +5,7 @@
 
 use super::alarms::{Alarm, Alarms, Seen};
 use super::operator::{Address, OperatorError, Said, Word};
+use super::reach::ReachStatus;
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
@@ -129,6 +130,10 @@ pub struct StatusReport {
     pub alarms: Vec<Alarm>,
     /// Where the arm is, as far as it is known.
     pub tip: TipStatus,
+    /// Speed over the configured one that was asked for (`sinew speed`); 1 after the arm was disarmed.
+    pub speed_scale: f64,
+    /// By how much the tip target is out of reach; null where it is not.
+    pub reach: Option<ReachStatus>,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -330,6 +335,8 @@ impl Shared {
             fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
             alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
             tip: tip_status(&state),
+            speed_scale: state.speed_scale,
+            reach: ReachStatus::of(&state),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,

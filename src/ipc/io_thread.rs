@@ -5,7 +5,7 @@ use super::channels::{Command, Event, IoEnds, Reply};
 use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
 use super::payload::{
     Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State, SupervisorState,
-    Target, Verdict,
+    Target, Verdict, is_speed_scale, speed_text,
 };
 use super::ports::{DaemonPorts, OpenRequest};
 use sinew_hal::clock::Naps;
@@ -318,13 +318,15 @@ impl<T: Tap> IoThread<T> {
         let ticket = self.next_ticket;
         self.next_ticket += 1;
         let kind = RequestKind::from_wire(message.kind);
-        let command = Command { ticket, kind: kind.unwrap_or(RequestKind::Status) };
+        let command = Command { ticket, kind: kind.unwrap_or(RequestKind::Status), speed_scale: message.speed_scale };
         let refused = if message.header.schema_version != SCHEMA_VERSION {
             Some((RefusalReason::Schema, message.header.schema_version))
         } else if kind.is_none() {
             Some((RefusalReason::UnknownRequest, message.kind))
         } else if kind == Some(RequestKind::SetTarget) {
             self.take_target(&message.target, now_ns).err().map(|cause| (RefusalReason::BadTarget, cause.wire()))
+        } else if kind == Some(RequestKind::Speed) && !is_speed_scale(message.speed_scale) {
+            Some((RefusalReason::BadSpeed, 0))
         } else {
             None
         };
@@ -386,6 +388,9 @@ impl<T: Tap> IoThread<T> {
             ..Response::default()
         };
         match (reply.verdict, reply.reason, RejectCause::from_wire(reply.detail)) {
+            (Verdict::Accepted, ..) if request.payload().kind == RequestKind::Speed.wire() => {
+                response.set_text(&speed_text(reply.supervisor, request.payload().speed_scale));
+            }
             (Verdict::Accepted, ..) => response.set_text(reply.supervisor.text()),
             (_, RefusalReason::BadTarget, Some(cause)) => {
                 response.set_text(&format!("{}: {}", reply.reason.text(), cause.text()));

@@ -80,6 +80,8 @@ pub struct Met {
     pub load_max: f64,
     /// Whether some row held the step back.
     pub held_back: bool,
+    /// Whether an obstacle did.
+    pub hindered: bool,
 }
 
 /// Loads are looked at when less than this share is left.
@@ -294,6 +296,7 @@ impl Reference {
         {
             rows = self.pair_rows(h, around, &mut met);
         }
+        let pairs = rows;
         rows = self.tension_rows(h, rows, &mut met);
         self.delta.copy_from_slice(wanted.drift);
         for i in 0..count {
@@ -314,6 +317,7 @@ impl Reference {
         for r in 0..rows {
             let multiplier = self.solver.multipliers()[r];
             met.held_back |= multiplier > 0.0;
+            met.hindered |= multiplier > 0.0 && r < pairs;
             met.given_up += usize::from(multiplier >= hard * (1.0 - 1e-9));
         }
         // Each bend by itself keeps to the limit; together they may not. Where nothing comes nearer there is no hurry.

@@ -165,6 +165,11 @@ impl Fields for State {
         sink.u64("limits", self.limits);
         sink.f64("swing_m", self.swing_m);
         sink.array("tip_covariance_m2", &self.tip_covariance_m2);
+        sink.f64("speed_scale", self.speed_scale);
+        sink.f64("reach_miss_m", self.reach_miss_m);
+        sink.f64("reach_miss_rad", self.reach_miss_rad);
+        sink.f64("reach_load", self.reach_load);
+        sink.array("reach_nearest_m", &self.reach_nearest_m);
     }
 }
 

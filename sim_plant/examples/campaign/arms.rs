@@ -23,7 +23,7 @@ pub(crate) fn run(
     duration: Option<f64>,
     trace: Option<&Path>,
 ) {
-    println!("arm                  scale  seed  mean_%  max_% @s  kappa_%  distance_%  rough_%  estimate_%");
+    println!("arm                  scale  seed  mean_%  max_% @s  kappa_%  distance_%  rough_%  rate  estimate_%");
     for path in scenarios {
         let original = ScenarioConfig::load(path).unwrap_or_else(|error| panic!("{}", error.report()));
         for scale in scales {
@@ -59,13 +59,14 @@ pub(crate) fn run(
 fn line(name: &str, scale: f64, seed: u64, shown: &Result<Followed, String>) {
     match shown {
         Ok(s) => println!(
-            "{name:20} {scale:5} {seed:5} {:7.3} {:6.3} {:5.1} {:7.3} {:9.3} {:9.4} {:9.3} {}",
+            "{name:20} {scale:5} {seed:5} {:7.3} {:6.3} {:5.1} {:7.3} {:9.3} {:9.4} {:6.3} {:9.3} {}",
             100.0 * s.error.0,
             100.0 * s.error.1,
             s.worst_s,
             100.0 * s.curvature_error,
             100.0 * s.distance,
             100.0 * s.roughness,
+            s.tension_rate,
             100.0 * s.estimate_error,
             s.failed.as_deref().unwrap_or("")
         ),

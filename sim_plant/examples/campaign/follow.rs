@@ -229,7 +229,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
         curvature = bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     }
     format!(
-        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm ({:.2} % within 3 sigma of {:.1} mm), turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",
+        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm ({:.2} % within 3 sigma of {:.1} mm), turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, rate {:.1} N/s, speed {:.3} m/s, curvature {:.4} {failed}",
         1e3 * sum / n,
         1e3 * worst.0,
         worst.1,
@@ -240,6 +240,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
         1e3 * least.0,
         least.1,
         (rough / n).sqrt(),
+        bench.tension_rate_max_nps,
         speed,
         curvature
     )

@@ -11,11 +11,11 @@ use std::path::Path;
 
 pub(crate) fn run(args: &Args, watch: f64, shapes: bool, chain: bool, pose: &[f64], trace: Option<&Path>) {
     println!(
-        "seed  path_s  error_mm  p2p_mm  est_mm  3sigma within_%  vmax  umax  sat  dkappa  reach_mm  rough growth"
+        "seed  path_s  error_mm  p2p_mm  est_mm  3sigma within_%  vmax  umax  sat  dkappa  reach_mm  rough rate_nps growth"
     );
     let line = |s: &Shown| {
         println!(
-            "{:4} {:7.2} {:8.2} {:7.2} {:7.2} {:7.2} {:8.2} {:6.3} {:5.0} {:3} {:.4} {:6.2} {:.3} {:7.3} {}",
+            "{:4} {:7.2} {:8.2} {:7.2} {:7.2} {:7.2} {:8.2} {:6.3} {:5.0} {:3} {:.4} {:6.2} {:.3} {:7.1} {:7.3} {}",
             s.seed,
             s.path_s,
             1e3 * s.error,
@@ -29,6 +29,7 @@ pub(crate) fn run(args: &Args, watch: f64, shapes: bool, chain: bool, pose: &[f6
             s.curvature_error,
             1e3 * s.reach,
             s.roughness,
+            s.tension_rate_max,
             s.growth,
             s.failed.as_deref().unwrap_or("")
         );

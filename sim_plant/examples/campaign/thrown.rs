@@ -48,21 +48,23 @@ struct Met {
     tip: f64,
     end: f64,
     touched: f64,
+    rate: f64,
     failed: Option<String>,
 }
 
 pub fn run(args: &Args, thrown: &Thrown) {
-    println!("seed  least_mm at_s  touched_mps  vmax_mps  tip_mm  end_mm");
+    println!("seed  least_mm at_s  touched_mps  vmax_mps  tip_mm  end_mm  rate_nps");
     let all = each_seed(args, |seed| {
         let met = one(args, thrown, seed);
         println!(
-            "{seed:4} {:9.2} {:5.2} {:8.3} {:8.3} {:8.1} {:8.2} {}",
+            "{seed:4} {:9.2} {:5.2} {:8.3} {:8.3} {:8.1} {:8.2} {:8.1} {}",
             1e3 * met.least.0,
             met.least.1,
             met.touched,
             met.speed,
             1e3 * met.tip,
             1e3 * met.end,
+            met.rate,
             met.failed.as_deref().unwrap_or("")
         );
         met
@@ -95,7 +97,8 @@ fn one(args: &Args, thrown: &Thrown, seed: u64) -> Met {
         arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
         bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
     }
-    let mut met = Met { least: (f64::INFINITY, 0.0), speed: 0.0, tip: 0.0, end: 0.0, touched: 0.0, failed: None };
+    let mut met =
+        Met { least: (f64::INFINITY, 0.0), speed: 0.0, tip: 0.0, end: 0.0, touched: 0.0, rate: 0.0, failed: None };
     if let Err(why) = bench.arm(60.0) {
         met.failed = Some(why);
         return met;
@@ -216,5 +219,6 @@ fn one(args: &Args, thrown: &Thrown, seed: u64) -> Met {
             break;
         }
     }
+    met.rate = bench.tension_rate_max_nps;
     met
 }

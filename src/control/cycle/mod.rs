@@ -126,6 +126,8 @@ pub struct Cycle<E, P = Planner> {
     postures: Postures,
     motion: MotionWatch,
     governor: Governor,
+    /// Speed over the configured one that was asked for.
+    speed_scale: f64,
     singular_in_row: u32,
     model_lengths: Vec<f64>,
     model_rates: Vec<f64>,
@@ -201,6 +203,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             postures: Postures::new(settings, &arm),
             motion: MotionWatch::new(settings.arm.length_m(), cables),
             governor: Governor::new(&arm, &settings.arm, &settings.governor, planning, &settings.observer),
+            speed_scale: 1.0,
             singular_in_row: 0,
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],
@@ -268,6 +271,17 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// The governor.
     pub const fn governor(&self) -> &Governor {
         &self.governor
+    }
+
+    /// Asks for a share of the configured speed on every way to a target, above 0 and at most 1: kept until another is asked
+    /// for, or the arm is disarmed. Giving way to obstacles, holding and stopping keep their own.
+    pub const fn set_speed_scale(&mut self, scale: f64) {
+        self.speed_scale = scale;
+    }
+
+    /// Share of the configured speed that was asked for.
+    pub const fn speed_scale(&self) -> f64 {
+        self.speed_scale
     }
 
     /// Where the estimate has its tip (m, base frame).
@@ -448,6 +462,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             target_fresh: inputs.target.is_some_and(|target| target.fresh),
             obstacles: inputs.demand,
             hold,
+            unreachable: self.governor.is_refused(),
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
             at_home: self.curvatures[..count]
                 .iter()
@@ -474,6 +489,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         }
         self.ramp.end();
         self.singular_in_row = 0;
+        if mode == Mode::Disarmed {
+            self.speed_scale = 1.0;
+        }
         if mode == Mode::Starting {
             self.observing = false;
             self.postures.forget();

@@ -24,6 +24,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             rows.copy_from_slice(p.as_slice());
             rows
         });
+        r.speed_scale = self.speed_scale;
+        r.reach = self.governor.reach().copied();
         r.drives = inputs.drives.phase;
         r.deadlines_missed = self.supervisor.deadlines_missed();
         r.events_dropped = self.supervisor.events_mut().dropped;

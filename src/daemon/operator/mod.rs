@@ -1,6 +1,6 @@
 //! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own.
 //!
-//! Enters: one line with one word, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
+//! Enters: one line with one word, and a number after `speed`, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
 //! order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend on what an arm is
 //! otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O thread stuck.
 //!
@@ -12,7 +12,7 @@ mod server;
 pub(crate) use server::{Desk, OperatorSocket};
 
 use super::status::StatusReport;
-use crate::ipc::payload::{RequestKind, Response};
+use crate::ipc::payload::{RequestKind, Response, is_speed_scale};
 use crate::ipc::{Domain, IpcError, run_dir};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// What can be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Word {
     /// Ramp the tensions down, then disarm.
     Stop,
@@ -37,16 +37,55 @@ pub enum Word {
     EmergencyStop,
     /// Release it.
     EmergencyRelease,
+    /// Move at this share of the configured speed.
+    Speed(f64),
     /// The daemon's report.
     Status,
 }
 
+/// Reads a speed: a share (`0.5`) or per cent (`50%`) of the configured one.
+///
+/// # Errors
+/// It is no number, or not between 1 % and 100 %; in words.
+pub fn parse_speed(text: &str) -> Result<f64, String> {
+    let refused = || format!("speed `{text}`: expected 1% to 100% of the configured speed, or 0.01 to 1");
+    let text = text.trim();
+    let (number, unit) = text.strip_suffix('%').map_or((text, 1.0), |number| (number.trim_end(), 0.01));
+    let scale = unit * number.parse::<f64>().map_err(|_| refused())?;
+    if is_speed_scale(scale) { Ok(scale) } else { Err(refused()) }
+}
+
 impl Word {
-    /// Every word.
-    pub const ALL: [Self; 6] =
+    /// Every word that stands alone.
+    const ALONE: [Self; 6] =
         [Self::Stop, Self::Hold, Self::Disarm, Self::EmergencyStop, Self::EmergencyRelease, Self::Status];
 
-    /// As it is sent.
+    /// Reads a line as it is sent.
+    ///
+    /// # Errors
+    /// It is none; in words.
+    pub fn parse(line: &[u8]) -> Result<Self, String> {
+        let line = line.trim_ascii();
+        if let Some(word) = Self::ALONE.into_iter().find(|word| line == word.text().as_bytes()) {
+            return Ok(word);
+        }
+        match std::str::from_utf8(line).ok().and_then(|line| line.strip_prefix("speed ")) {
+            Some(speed) => parse_speed(speed).map(Self::Speed),
+            None => Err("expected a line with stop, hold, disarm, emergency-stop, emergency-release, status, or \
+                         speed and a share of the configured one (`speed 50%`)"
+                .into()),
+        }
+    }
+
+    /// The line as it is sent.
+    pub fn line(self) -> String {
+        match self {
+            Self::Speed(scale) => format!("speed {scale}\n"),
+            word => format!("{}\n", word.text()),
+        }
+    }
+
+    /// What it is called.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Stop => "stop",
@@ -54,11 +93,12 @@ impl Word {
             Self::Disarm => "disarm",
             Self::EmergencyStop => "emergency-stop",
             Self::EmergencyRelease => "emergency-release",
+            Self::Speed(_) => "speed",
             Self::Status => "status",
         }
     }
 
-    /// The word of a request; `None` for those that go over shared memory.
+    /// The word of a request; `None` for those that go over shared memory, or need a number.
     pub const fn of(kind: RequestKind) -> Option<Self> {
         match kind {
             RequestKind::Stop => Some(Self::Stop),
@@ -77,6 +117,7 @@ impl Word {
             Self::Disarm => Some(RequestKind::Disarm),
             Self::EmergencyStop => Some(RequestKind::EmergencyStop),
             Self::EmergencyRelease => Some(RequestKind::EmergencyRelease),
+            Self::Speed(_) => Some(RequestKind::Speed),
             Self::Status => None,
         }
     }
@@ -340,7 +381,7 @@ const ANSWER_BYTES_MAX: u64 = 4 << 20;
 impl Line {
     fn ask(&mut self, word: Word) -> io::Result<()> {
         self.stream.set_write_timeout(Some(Duration::from_millis(500)))?;
-        self.stream.write_all(format!("{}\n", word.text()).as_bytes())
+        self.stream.write_all(word.line().as_bytes())
     }
 
     /// Reads until the daemon hangs up.

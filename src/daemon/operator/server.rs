@@ -4,7 +4,7 @@ use super::{Address, Answer, Said, Word};
 use crate::config::{AccessConfig, Who};
 use crate::daemon::DaemonError;
 use crate::daemon::records::refusal_text;
-use crate::ipc::payload::{RefusalReason, Verdict};
+use crate::ipc::payload::{RefusalReason, Verdict, speed_text};
 use crate::ipc::{DirectEnd, IpcError, Reply, run_dir};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use sinew_hal::peer::{self, Peer, group_id, user_id, user_text};
@@ -253,14 +253,12 @@ impl Desk {
                 break;
             }
         }
-        let Some(word) = Word::ALL.into_iter().find(|word| line.trim_ascii() == word.text().as_bytes()) else {
-            tell(
-                &guest.stream,
-                &Said::Refused(
-                    "expected a line with stop, hold, disarm, emergency-stop, emergency-release or status".into(),
-                ),
-            );
-            return Next::Goes;
+        let word = match Word::parse(line) {
+            Ok(word) => word,
+            Err(why) => {
+                tell(&guest.stream, &Said::Refused(why));
+                return Next::Goes;
+            }
         };
         let permitted = if word == Word::Status { &socket.see } else { &socket.stop };
         if !permitted.contains(&guest.peer) {
@@ -269,8 +267,9 @@ impl Desk {
         }
         let Some(kind) = word.request() else { return Next::Status };
         let (uid, pid) = (guest.peer.uid, guest.peer.pid);
-        tracing::info!(uid, pid, "asked for {}", word.text());
-        (guest.asked, guest.since) = (direct.ask(kind).map(|ticket| (ticket, word)), Instant::now());
+        tracing::info!(uid, pid, "asked for {}", word.line().trim_end());
+        let speed_scale = if let Word::Speed(scale) = word { scale } else { 1.0 };
+        (guest.asked, guest.since) = (direct.ask(kind, speed_scale).map(|ticket| (ticket, word)), Instant::now());
         if guest.asked.is_some() {
             return Next::Stays;
         }
@@ -305,7 +304,11 @@ fn unanswered(word: Word, reason: RefusalReason) -> Answer {
 fn answer(guest: &Guest, reply: &Reply) {
     let Some((_, word)) = guest.asked else { return };
     let accepted = reply.verdict == Verdict::Accepted;
-    let text = if accepted { reply.supervisor.text() } else { refusal_text(reply.reason, reply.detail) };
+    let text = match word {
+        Word::Speed(scale) if accepted => speed_text(reply.supervisor, scale),
+        _ if accepted => reply.supervisor.text().into(),
+        _ => refusal_text(reply.reason, reply.detail).into(),
+    };
     let answer = Answer {
         asked: word.text().into(),
         accepted,
@@ -314,7 +317,7 @@ fn answer(guest: &Guest, reply: &Reply) {
         supervisor: reply.supervisor.wire(),
         fault_code: reply.fault_code,
         fault_detail: reply.fault_detail,
-        text: text.into(),
+        text,
     };
     tell(&guest.stream, &Said::Answer(answer));
 }
