@@ -16,12 +16,15 @@
 //! - `passive`: the observer.
 //! - `start`: the first estimate, from lengths and tensions at rest.
 //! - `health`: settling and innovation tests.
+//! - `memory`: what a loop carries from tick to tick, for who linearises it.
 
 mod cable_space;
 mod health;
+mod memory;
 mod passive;
 mod start;
 
 pub use cable_space::CableSpace;
+pub use memory::Kept;
 pub use passive::{Observer, Update};
 pub use start::StartError;
