@@ -82,7 +82,10 @@ impl ArmInfo {
         let reach = slice(&arm);
         row(
             "reach in a plane",
-            format!("{:.3} m to either side, {:.3} m from the straight arm's tip", reach.across_m, reach.from_straight_m),
+            format!(
+                "{:.3} m to either side, {:.3} m from the straight arm's tip",
+                reach.across_m, reach.from_straight_m
+            ),
         );
         let (force_n, weakest) = force_at_tip(&arm);
         let weak = weakest + 1;
@@ -264,7 +267,8 @@ fn closed_loop(config: &Config) -> miette::Result<Vec<String>> {
             (Some(true), None) => out += &format!("{place}: stable, slowest mode {growth:.3} 1/s\n"),
             (Some(_), None) => {
                 out += &format!("{place}: NOT STABLE, grows by {growth:.3} 1/s\n");
-                let mode = modes.first().map_or(String::new(), |m| format!("{:.3} Hz, {}", m.frequency_hz, m.in_words()));
+                let mode =
+                    modes.first().map_or(String::new(), |m| format!("{:.3} Hz, {}", m.frequency_hz, m.in_words()));
                 warnings.push(format!(
                     "{place}: the closed loop is not stable ({mode}); `sinew stability` tells more; a larger \
                      weights.tip.change_ratio or observer.disturbance_time_s may do"

@@ -279,7 +279,11 @@ fn text(config: &Config, shown: &[Shown]) -> String {
             for mode in &one.modes {
                 table.add_row([
                     format!("  {:.3}", mode.frequency_hz),
-                    if mode.frequency_hz > 0.0 { format!("{:.1} %", 100.0 * mode.damping_ratio) } else { "-".to_owned() },
+                    if mode.frequency_hz > 0.0 {
+                        format!("{:.1} %", 100.0 * mode.damping_ratio)
+                    } else {
+                        "-".to_owned()
+                    },
                     format!("{:.3}", mode.growth_1ps),
                     mode.in_words(),
                 ]);

@@ -62,8 +62,9 @@ pub fn slice(config: &ArmConfig) -> Slice {
             let position = rest.tip().0;
             let inside = norm < 0.05 * config.length_m()
                 && rest.linearize(&u).is_ok()
-                && (0..config.segments.len())
-                    .all(|s| rest.load_into(s, config.segments[s].tension_n_max - config.tension_n_min, &mut scratch) <= 1.0);
+                && (0..config.segments.len()).all(|s| {
+                    rest.load_into(s, config.segments[s].tension_n_max - config.tension_n_min, &mut scratch) <= 1.0
+                });
             // Postures on the way count as well.
             if inside && step >= STEPS / 2 {
                 let from_base = position - arm.base_position;

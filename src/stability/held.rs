@@ -33,7 +33,7 @@ pub enum Place {
     Shape(Vec<f64>),
 }
 
-/// The observer, which starts anew at every tick as long as the arm is led.
+/// The observer, which is told where the arm is as long as that is led.
 #[derive(Debug, Clone)]
 struct Patient {
     observer: Observer,
@@ -42,12 +42,11 @@ struct Patient {
 
 impl Estimator for Patient {
     fn start(&mut self, lengths_m: &[f64], tensions_n: &[f64]) -> Result<(), EstimatorFailure> {
-        Estimator::start(&mut self.observer, lengths_m, tensions_n)
+        if self.led { Ok(()) } else { Estimator::start(&mut self.observer, lengths_m, tensions_n) }
     }
 
     fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure> {
         if self.led {
-            Estimator::start(&mut self.observer, lengths_m, sent_n)?;
             return Ok(Estimate { settled: true, ..Estimate::default() });
         }
         Estimator::update(&mut self.observer, sent_n, lengths_m, periods)
@@ -69,8 +68,16 @@ impl Estimator for Patient {
 /// Longest start, way to a target, in ticks; and time (s) at its end.
 const TICKS_MAX: usize = 20_000;
 const AFTER_S: f64 = 1.0;
+/// Iterations for the tensions that hold a posture before the start.
+const START_ITERATIONS: usize = 60;
 /// Newton iterations with which the arm is led, a tick.
 const LEADING_ITERATIONS: usize = 2;
+/// How often the arm is led beside the reference by what the estimate is off.
+const BESIDE_ITERATIONS: usize = 2;
+/// Steps in which the observer comes to rest, periods of each, and where it has (rad, rad/s).
+const OBSERVER_STEPS_MAX: usize = 1500;
+const OBSERVER_PERIODS: u32 = 5;
+const SETTLED_RAD: f64 = 1e-9;
 /// Ticks over which properties of the true arm are changed.
 const CHANGE_TICKS: usize = 20;
 /// Largest difference of a bend angle from the place's own that is still there (rad).
@@ -83,6 +90,10 @@ pub struct Held {
     plant: Plant,
     /// The true arm in equilibrium at the reference's mean curvatures.
     leader: RestingArm,
+    /// The model at the same mean curvatures, with the moments that it lacks beside those tensions.
+    believed: RestingArm,
+    /// By how much the arm is led beside the reference, so that the estimate is on it (1/m).
+    beside: Vec<f64>,
     /// Tensions that hold it there (N).
     holding_n: Vec<f64>,
     box_n: TensionBox,
@@ -121,7 +132,10 @@ impl Held {
         if let Some(k) = &curvatures {
             leader = at_curvatures(config, &arm, k)
                 .ok_or_else(|| StabilityError::NoRest("no equilibrium has these mean curvatures".to_owned()))?;
-            settings.start_tensions_n = box_n.tensions(&arm, &leader, 1.0)?;
+            settings.start_tensions_n = box_n.tensions(&arm, leader.moments(), 1.0)?;
+            for _ in 0..START_ITERATIONS {
+                box_n.lead(&mut leader, k, 1.0, &mut settings.start_tensions_n)?;
+            }
         }
         let period_s = config.timing.period_s;
         let mut plant = Plant::new(&config.arm, period_s, config.observer.latency_ticks);
@@ -131,7 +145,9 @@ impl Held {
         let mut held = Self {
             cycle: Cycle::new(&settings, Patient { observer, led: true }),
             plant,
+            believed: leader.clone(),
             leader,
+            beside: vec![0.0; count],
             holding_n: settings.start_tensions_n.clone(),
             box_n,
             target: None,
@@ -141,12 +157,14 @@ impl Held {
             period_s,
             rng: Xoshiro256PlusPlus::seed_from_u64(1),
         };
+        held.tell_observer()?;
         held.begin(&settings.start_tensions_n)?;
         held.target = target(place);
         if held.target.is_some() {
             held.go()?;
         }
         held.wait(AFTER_S)?;
+        held.let_go()?;
         if let Some(k) = &curvatures {
             held.is_there(k, config)?;
         }
@@ -170,6 +188,12 @@ impl Held {
                 other.lead(None)?;
             }
             other.wait(AFTER_S)?;
+            for _ in 0..BESIDE_ITERATIONS {
+                other.let_go()?;
+                other.aim();
+                other.lead(None)?;
+            }
+            other.let_go()?;
         }
         other.plant.differ(differs);
         Ok(other)
@@ -185,9 +209,9 @@ impl Held {
         &self.plant
     }
 
-    /// Tensions sent (N).
+    /// Commanded tensions that hold the arm (N).
     pub fn tensions_n(&self) -> &[f64] {
-        self.cycle.tensions_n()
+        &self.holding_n
     }
 
     /// Mode of the controller.
@@ -247,22 +271,70 @@ impl Held {
         }
         if self.cycle.supervisor().is_planning() {
             let reference = self.cycle.governor().reference().to_vec();
-            let none = vec![self.box_n.least_n; self.holding_n.len()];
+            let wanted: Vec<f64> = reference.iter().zip(&self.beside).map(|(k, b)| k + b).collect();
+            let pull = self.plant.differs().pull;
             for _ in 0..LEADING_ITERATIONS {
-                let singular = |_| StabilityError::NoRest("the arm is at an instability".to_owned());
-                self.leader.linearize(&none).map_err(singular)?;
-                self.leader.advance(&reference);
+                self.box_n.lead(&mut self.leader, &wanted, pull, &mut self.holding_n)?;
             }
-            self.holding_n = self.box_n.tensions(self.plant.arm(), &self.leader, self.plant.differs().pull)?;
         }
-        let holding = &self.holding_n;
-        self.cycle.memory(&mut |kept, values| {
-            // Of the controller's numbers tensions are what it has sent.
-            if kept == Kept::Tensions {
-                values.copy_from_slice(holding);
+        // What swings is nothing: all of it is the mean, and there is no answer. Tensions are what was sent.
+        let (holding, swing, mut is_mean) = (&self.holding_n, self.cycle.governor().swing().to_vec(), true);
+        self.cycle.memory(&mut |kept, values| match kept {
+            Kept::Curvatures if is_mean => {
+                values.copy_from_slice(&swing);
+                is_mean = false;
             }
+            Kept::Curvatures => values.fill(0.0),
+            Kept::Tensions => values.copy_from_slice(holding),
+            _ => {}
         });
-        self.plant.rest_near(&self.holding_n, &self.leader.state().q)
+        self.plant.rest_near(&self.holding_n, &self.leader.state().q)?;
+        self.tell_observer()
+    }
+
+    /// Tells the observer that the arm rests where it is, with the moments that its model lacks there.
+    fn tell_observer(&mut self) -> Result<(), StabilityError> {
+        let wanted = self.leader.curvatures().to_vec();
+        for _ in 0..LEADING_ITERATIONS {
+            let singular = |_| StabilityError::NoRest("the model is at an instability".to_owned());
+            self.believed.linearize(&self.holding_n).map_err(singular)?;
+            self.believed.advance(&wanted);
+        }
+        let observer = &mut self.cycle.estimator_mut().observer;
+        observer.resume(self.believed.state());
+        observer.memory(&mut |kept, values| match kept {
+            Kept::Moments => values.copy_from_slice(self.believed.moments()),
+            Kept::Tensions => values.copy_from_slice(&self.holding_n),
+            _ => {}
+        });
+        Ok(())
+    }
+
+    /// Lets the observer alone come to rest on the lengths that it sees.
+    fn let_go(&mut self) -> Result<(), StabilityError> {
+        let observer = &mut self.cycle.estimator_mut().observer;
+        for _ in 0..OBSERVER_STEPS_MAX {
+            let update = observer.update_over(&self.holding_n, self.plant.lengths(), OBSERVER_PERIODS);
+            if update.failed {
+                return Err(StabilityError::NotHeld("the observer's step fails".to_owned()));
+            }
+            if update.innovation_max < SETTLED_RAD && update.rate_max < SETTLED_RAD {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Leads the arm by as much beside the reference as the estimate is off.
+    fn aim(&mut self) {
+        let state = self.cycle.estimator_mut().observer.state().clone();
+        let mut found = self.beside.clone();
+        let mut rates = found.clone();
+        self.plant.arm().curvatures_into(&state.q, &state.qd, &mut found, &mut rates);
+        let reference = self.cycle.governor().reference();
+        for ((beside, found), wanted) in self.beside.iter_mut().zip(&found).zip(reference) {
+            *beside += wanted - found;
+        }
     }
 
     /// Arms an arm that brakes hold until its cables have their start tensions.
@@ -347,4 +419,3 @@ fn target(place: &Place) -> Option<TargetInput> {
     };
     Some(TargetInput { now, ahead: None, weight: 0.0, sequence: 1, fresh: true })
 }
-

@@ -1,9 +1,9 @@
 //! How far a property of the true arm may be from its model's before the loop that holds it is not stable.
 
+use super::StabilityError;
 use super::held::Held;
 use super::plant::Differs;
 use super::spectrum::Spectrum;
-use super::StabilityError;
 use crate::config::Config;
 use serde::Serialize;
 

@@ -1,5 +1,6 @@
 //! What a mode of the loop moves.
 
+use super::growth_limit_1ps;
 use crate::config::{Config, Scale};
 use crate::estimator::Kept;
 use crate::math::block_tridiagonal::COORDINATES;
@@ -77,6 +78,8 @@ impl LoopMode {
     ) -> Self {
         let modulus = value.norm_sqr().sqrt();
         let (growth, omega) = (modulus.ln() / period_s, value.im.atan2(value.re) / period_s);
+        // What rounding makes of two equal real ones is no oscillation.
+        let omega = if omega.abs() < growth_limit_1ps(config) { 0.0 } else { omega };
         // A real eigenvalue below zero turns its sign every tick: no oscillation of the arm, but at the tick's own pace.
         let own = layout.nth(Kept::Coordinates, 0).unwrap_or((0, 0));
         let other = layout.nth(Kept::Coordinates, 1);

@@ -125,12 +125,12 @@ impl TensionBox {
         Self { least_n, most_n, lift_n: LIFT * (config.arm.tension_n_max - least_n) }
     }
 
-    /// Commanded tensions (N), of which `pull` times as much acts, that hold an equilibrium under the least tensions: of all
-    /// that give its moments those with the least sum of squares, all a little above the least. Allocates.
+    /// Commanded tensions (N), of which `pull` times as much acts, that give bending moments (N m) beyond the least tensions': of
+    /// all that do those with the least sum of squares, all a little above the least. Allocates.
     ///
     /// # Errors
     /// [`StabilityError::Tension`].
-    pub(super) fn tensions(&self, arm: &Arm, rest: &RestingArm, pull: f64) -> Result<Vec<f64>, StabilityError> {
+    pub(super) fn tensions(&self, arm: &Arm, moments: &[f64], pull: f64) -> Result<Vec<f64>, StabilityError> {
         let (cables, space) = (arm.cable_count(), CableSpace::new(arm));
         let largest = (0..cables).map(|c| space.lever(c).iter().map(|l| l * l).sum::<f64>()).fold(0.0, f64::max);
         let weight = MOMENTS / largest;
@@ -140,7 +140,7 @@ impl TensionBox {
             for j in 0..cables {
                 a[i * cables + j] = weight * dot(space.lever(j)) + if i == j { 1.0 } else { 0.0 };
             }
-            b[i] = -weight * dot(rest.moments());
+            b[i] = -weight * dot(moments);
         }
         let lift = pull * (self.least_n + self.lift_n) - self.least_n;
         let (lower, upper) = (vec![lift; cables], vec![BEYOND * self.most_n[0]; cables]);
@@ -152,5 +152,31 @@ impl TensionBox {
             Some(cable) => Err(StabilityError::Tension { needed_n: u[cable], most_n: self.most_n[cable] }),
             None => Ok(u),
         }
+    }
+
+    /// An iteration for the commanded tensions (N), of which `pull` times as much acts, under which an arm rests at mean
+    /// curvatures (1/m). What all cables of a segment pull alike bends it, too, once it is bent.
+    ///
+    /// # Errors
+    /// [`StabilityError`].
+    pub(super) fn lead(
+        &self,
+        rest: &mut RestingArm,
+        curvatures: &[f64],
+        pull: f64,
+        tensions_n: &mut Vec<f64>,
+    ) -> Result<(), StabilityError> {
+        let acting: Vec<f64> = tensions_n.iter().map(|u| pull * u).collect();
+        let (q, lambda) = (rest.state().q.clone(), rest.state().lambda.clone());
+        rest.take_shape(&q, &lambda);
+        rest.linearize(&acting).map_err(|_| StabilityError::NoRest("the arm is at an instability".to_owned()))?;
+        rest.advance(curvatures);
+        let space = CableSpace::new(rest.arm());
+        let mut moments = rest.moments().to_vec();
+        for (cable, u) in acting.iter().enumerate() {
+            moments.iter_mut().zip(space.lever(cable)).for_each(|(m, lever)| *m += lever * (u - self.least_n));
+        }
+        *tensions_n = self.tensions(rest.arm(), &moments, pull)?;
+        Ok(())
     }
 }

@@ -20,7 +20,7 @@ const STEP: f64 = 3e-4;
 const BASIS_MIN: usize = 120;
 const BASIS_MAX: usize = 420;
 const BASIS_MORE: usize = 60;
-/// Leading eigenvalues that must have converged, and the residual at which they have.
+/// Leading eigenvalues that must have converged, of those that do not rest, and the residual at which they have.
 const LEADING: usize = 8;
 const CONVERGED: f64 = 1e-6;
 /// Modes that are told.
@@ -68,7 +68,9 @@ impl Spectrum {
             let exhausted = rest < 1e-12;
             if exhausted || m == BASIS_MAX || (m >= BASIS_MIN && (m - BASIS_MIN).is_multiple_of(BASIS_MORE)) {
                 let ritz = ritz(&h)?;
-                let residual = ritz.iter().take(LEADING).map(|r| r.residual).fold(0.0, f64::max);
+                let limit = growth_limit_1ps(config) * held.period_s();
+                let moving = ritz.iter().filter(|r| r.value.norm_sqr().sqrt().ln().abs() > limit);
+                let residual = moving.take(LEADING).map(|r| r.residual).fold(0.0, f64::max);
                 if exhausted || residual < CONVERGED || m == BASIS_MAX {
                     return Ok(map.told(config, &ritz, &basis, residual));
                 }
@@ -239,10 +241,19 @@ impl<'a> Map<'a> {
             Moved { parts: [re.component_mul(&self.unit), im.component_mul(&self.unit)] }
         };
         let period_s = self.held.period_s();
+        // Tensions against one another fade at the pace of R over W, one mode for each way; the first of them is enough.
+        let (limit, mut resting) = (growth_limit_1ps(config) * period_s, 0);
         let modes = ritz
             .iter()
+            .filter(|r| {
+                let rests = r.value.norm_sqr().sqrt().ln().abs() <= limit && r.value.im.abs() <= limit;
+                resting += usize::from(rests);
+                !rests || resting == 1
+            })
             .take(MODES_MAX)
-            .map(|r| LoopMode::new(config, arm, &self.held.plant().state().q, &self.layout, period_s, r.value, &moved(r)))
+            .map(|r| {
+                LoopMode::new(config, arm, &self.held.plant().state().q, &self.layout, period_s, r.value, &moved(r))
+            })
             .collect();
         Spectrum {
             modes,

@@ -28,7 +28,13 @@ pub(super) fn file(path: &Path, arm: &str) -> PathBuf {
 }
 
 /// Draws the arm that rests in `state`, or straight without, and the slice.
-pub(super) fn draw(path: &Path, config: &ArmConfig, arm: &Arm, state: Option<&State>, slice: &Slice) -> miette::Result<()> {
+pub(super) fn draw(
+    path: &Path,
+    config: &ArmConfig,
+    arm: &Arm,
+    state: Option<&State>,
+    slice: &Slice,
+) -> miette::Result<()> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).into_diagnostic().wrap_err_with(|| folder.display().to_string())?;
     }
