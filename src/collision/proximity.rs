@@ -75,7 +75,7 @@ pub struct Measured<'a> {
 }
 
 /// The arm's body with every buffer of the search. `new` allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Body {
     geometry: BodyGeometry,
     model: BodyModel,

@@ -156,6 +156,22 @@ impl Config {
         reader::read_files(paths, KNOWN_TABLES, Self::build)
     }
 
+    /// The same with the arm changed before anything is computed from it; without files the built-in ones.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_changed(paths: &[PathBuf], change: impl Fn(&mut ArmConfig)) -> Result<Self, ConfigError> {
+        let build = |document: &Document<'_>| {
+            let mut arm = arm_file::arm(document);
+            change(&mut arm);
+            Self::build_for(document, arm)
+        };
+        if paths.is_empty() {
+            return reader::read(builtin_texts("drives.toml"), KNOWN_TABLES, build);
+        }
+        reader::read_files(paths, KNOWN_TABLES, build)
+    }
+
     /// The same from texts in memory: pairs of a name, which stands for the file in messages, and its content.
     ///
     /// # Errors

@@ -69,7 +69,7 @@ const PEAK_RATE: f64 = 1.875;
 const PEAK_ACCELERATION: f64 = 5.774;
 
 /// The governor of one arm. [`Governor::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Governor {
     settings: GovernorConfig,
     /// Time constants (s) of the mean that a swing goes about, of the answer to it, and of the way back.
@@ -241,6 +241,11 @@ impl Governor {
     /// How well the estimate knows where the arm is.
     pub const fn covariance(&self) -> &PositionCovariance {
         &self.covariance
+    }
+
+    /// What the answer to the arm's swing remembers (1/m): the swing's mean, the answer.
+    pub fn memory(&mut self) -> [&mut [f64]; 2] {
+        [&mut self.mean, &mut self.answer]
     }
 
     /// Mean curvatures to command (1/m): the reference's, and what takes energy out of the arm's swing.

@@ -122,7 +122,7 @@ const FARTHER: f64 = 6.6;
 const HOPELESS_RAD: f64 = 1.5;
 
 /// The reference of one arm. [`Reference::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Reference {
     settings: ReferenceSettings,
     rest: RestingArm,

@@ -4,6 +4,7 @@
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
 mod elapsed;
+mod memory;
 mod motion;
 mod plan;
 mod postures;
@@ -102,7 +103,7 @@ pub struct TickOutput {
 }
 
 /// The controller of one arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Cycle<E, P = Planner> {
     settings: Settings,
     steering: Steering,

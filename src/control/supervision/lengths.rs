@@ -40,7 +40,7 @@ pub struct WrongLength {
 }
 
 /// The check of one arm. [`LengthCheck::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct LengthCheck {
     space: CableSpace,
     /// 1 - P_cc.

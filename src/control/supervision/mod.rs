@@ -70,7 +70,7 @@ pub struct Verdict {
 }
 
 /// The supervision of one arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Supervision {
     settings: SupervisionConfig,
     /// Length of the segment of each curvature (m).

@@ -15,7 +15,7 @@ pub struct WrongTension {
 }
 
 /// The check of all drives. [`TensionCheck::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct TensionCheck {
     limit_n: f64,
     time_s: f64,

@@ -126,7 +126,7 @@ pub struct Report {
 }
 
 /// The combined planner of one arm; everything is made by [`Planner::new`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Planner {
     /// Its arm.
     pub arm: Arm,
@@ -174,7 +174,7 @@ pub struct Planner {
     scratch: Vec<f64>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Frames {
     r: Vec<Vector3<f64>>,
     t: Vec<Vector3<f64>>,
