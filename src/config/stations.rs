@@ -44,46 +44,42 @@ const fn station(header: &'static str) -> TableSpec {
         header,
         name: "stations",
         about: "Values at one place of a segment; linear between the stations that give them, constant before the first and behind the last. Two stations at the same place make a step.",
-        keys: &[
-            Key::required(
-                "at",
-                Kind::Float(Range::closed(0.0, 1.0)),
-                "",
-                "Place: share of the segment's length; not before that of the station above.",
-            ),
-            Key::optional(
-                "bending_stiffness_nm2",
-                POSITIVE,
-                "N m^2",
-                "as its neighbours",
-                "EI. An element bends as the beam there does.",
-            ),
-            Key::optional("torsional_stiffness_nm2", POSITIVE, "N m^2", "as its neighbours", "GJ."),
-            Key::optional(
-                "backbone_mass_kgpm",
-                Kind::Float(Range::above(0.0, 100.0)),
-                "kg/m",
-                "as its neighbours",
-                "Backbone mass per length.",
-            ),
-            Key::optional("backbone_radius_m", POSITIVE_LENGTH, "m", "as its neighbours", "Backbone radius."),
-            Key::optional(
-                "disk_mass_kg",
-                Kind::Float(Range::above(0.0, 100.0)),
-                "kg",
-                "as its neighbours",
-                "Mass of a disk at this place.",
-            ),
-            Key::optional(
-                "disk_radius_m",
-                POSITIVE_LENGTH,
-                "m",
-                "as its neighbours",
-                "Radius of a disk at this place.",
-            ),
-        ],
+        keys: STATION_KEYS,
     }
 }
+
+const STATION_KEYS: &[Key] = &[
+    Key::required(
+        "at",
+        Kind::Float(Range::closed(0.0, 1.0)),
+        "",
+        "Place: share of the segment's length; not before that of the station above.",
+    ),
+    Key::optional(
+        "bending_stiffness_nm2",
+        POSITIVE,
+        "N m^2",
+        "as its neighbours",
+        "EI. An element bends as the beam there does.",
+    ),
+    Key::optional("torsional_stiffness_nm2", POSITIVE, "N m^2", "as its neighbours", "GJ."),
+    Key::optional(
+        "backbone_mass_kgpm",
+        Kind::Float(Range::above(0.0, 100.0)),
+        "kg/m",
+        "as its neighbours",
+        "Backbone mass per length.",
+    ),
+    Key::optional("backbone_radius_m", POSITIVE_LENGTH, "m", "as its neighbours", "Backbone radius."),
+    Key::optional(
+        "disk_mass_kg",
+        Kind::Float(Range::above(0.0, 100.0)),
+        "kg",
+        "as its neighbours",
+        "Mass of a disk at this place.",
+    ),
+    Key::optional("disk_radius_m", POSITIVE_LENGTH, "m", "as its neighbours", "Radius of a disk at this place."),
+];
 
 /// `route` of a segment.
 pub(super) static PLACE: TableSpec = place("[[arm.segments.route]]");
@@ -95,37 +91,39 @@ const fn place(header: &'static str) -> TableSpec {
         header,
         name: "route",
         about: "Holes of the segment's cables at one place of the arm; linear between places, constant before the first and behind the last.",
-        keys: &[
-            Key::optional(
-                "segment",
-                Kind::Integer(1, 16),
-                "",
-                "the cables' own",
-                "Segment of the place, counted from 1; one that the cables pass, or their own.",
-            ),
-            Key::required(
-                "at",
-                Kind::Float(Range::closed(0.0, 1.0)),
-                "",
-                "Share of that segment's length; not before the place above.",
-            ),
-            Key::optional(
-                "hole_radius_m",
-                POSITIVE_LENGTH,
-                "m",
-                "as its neighbours",
-                "Radius of the circle of holes; a converging cable has another one at the next place.",
-            ),
-            Key::optional(
-                "turn_deg",
-                Kind::Float(Range::closed(-36000.0, 36000.0)),
-                "deg",
-                "as its neighbours",
-                "Turn of all holes about the backbone, added to their angles; a helical cable has another one at the next place.",
-            ),
-        ],
+        keys: PLACE_KEYS,
     }
 }
+
+const PLACE_KEYS: &[Key] = &[
+    Key::optional(
+        "segment",
+        Kind::Integer(1, 16),
+        "",
+        "the cables' own",
+        "Segment of the place, counted from 1; one that the cables pass, or their own.",
+    ),
+    Key::required(
+        "at",
+        Kind::Float(Range::closed(0.0, 1.0)),
+        "",
+        "Share of that segment's length; not before the place above.",
+    ),
+    Key::optional(
+        "hole_radius_m",
+        POSITIVE_LENGTH,
+        "m",
+        "as its neighbours",
+        "Radius of the circle of holes; a converging cable has another one at the next place.",
+    ),
+    Key::optional(
+        "turn_deg",
+        Kind::Float(Range::closed(-36000.0, 36000.0)),
+        "deg",
+        "as its neighbours",
+        "Turn of all holes about the backbone, added to their angles; a helical cable has another one at the next place.",
+    ),
+];
 
 /// A number of a segment and how it changes along it: its own key, or its stations.
 pub(super) fn along(
