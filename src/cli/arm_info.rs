@@ -239,7 +239,7 @@ fn overloaded(arm: &ArmConfig, model: &Arm) -> Vec<String> {
     let segments = arm.segments.iter().enumerate();
     segments
         .filter_map(|(s, segment)| {
-            let range_n = segment.tension_n_max - arm.tension_n_min;
+            let range_n = arm.segment_tension_n_max(segment) - arm.tension_n_min;
             let load = rest.load_into(s, range_n, &mut scratch);
             (load > 1.0).then(|| {
                 format!(

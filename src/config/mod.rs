@@ -25,12 +25,14 @@ mod observer;
 mod obstacles;
 mod planner;
 mod planner_file;
+mod profile;
 pub mod reader;
 mod recording;
 mod scale;
 mod scenario;
 mod scenario_file;
 pub mod schema;
+mod stations;
 mod supervision;
 mod target;
 mod timing;
@@ -53,6 +55,7 @@ pub use observer::{OBSERVER, ObserverConfig};
 pub use obstacles::{LostAction, OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
+pub use profile::Profile;
 pub use recording::{RECORDING, RecordingConfig};
 pub use scale::Scale;
 pub use scenario::*;
@@ -204,7 +207,7 @@ impl Config {
             // In closed loop alone: a scenario's plan is the paper's, without one.
             arm.tension_rate_npsmax = scale.tension_rate_npsmax();
         }
-        let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
+        let disk_radius_m = arm.disk_radius_m();
         let planner_table = document.table_or_defaults(&PLANNER);
         let given_s = planner_table.float_opt("lookahead_s");
         let lookahead_s = given_s.unwrap_or_else(|| planner_file::lookahead_s(&scale));

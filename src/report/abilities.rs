@@ -63,7 +63,11 @@ pub fn slice(config: &ArmConfig) -> Slice {
             let inside = norm < 0.05 * config.length_m()
                 && rest.linearize(&u).is_ok()
                 && (0..config.segments.len()).all(|s| {
-                    rest.load_into(s, config.segments[s].tension_n_max - config.tension_n_min, &mut scratch) <= 1.0
+                    rest.load_into(
+                        s,
+                        config.segment_tension_n_max(&config.segments[s]) - config.tension_n_min,
+                        &mut scratch,
+                    ) <= 1.0
                 });
             // Postures on the way count as well.
             if inside && step >= STEPS / 2 {
@@ -99,7 +103,7 @@ pub fn force_at_tip(config: &ArmConfig) -> (f64, usize) {
     let mut least = (f64::INFINITY, 0);
     for (s, segment) in config.segments.iter().enumerate().rev() {
         behind_m += segment.length_m + if s + 1 < config.segments.len() { segment.connector_length_m } else { 0.0 };
-        let range = segment.tension_n_max - config.tension_n_min;
+        let range = config.segment_tension_n_max(segment) - config.tension_n_min;
         let hole = |angle: f64| [segment.hole_radius_m * angle.cos(), segment.hole_radius_m * angle.sin()];
         let holes: Vec<[f64; 2]> = segment.hole_angles_rad.iter().map(|a| hole(*a)).collect();
         // The polygon of all moments has its sides parallel to the holes' directions: its least width is across one.

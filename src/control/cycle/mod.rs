@@ -130,6 +130,8 @@ pub struct Cycle<E, P = Planner> {
     /// Speed over the configured one that was asked for.
     speed_scale: f64,
     singular_in_row: u32,
+    /// What the encoders' readings mean along the arm, where cables stretch (m).
+    read_m: Vec<f64>,
     model_lengths: Vec<f64>,
     model_rates: Vec<f64>,
     /// Largest tension of each cable (N).
@@ -206,6 +208,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             governor: Governor::new(&arm, &settings.arm, &settings.governor, planning, &settings.observer),
             speed_scale: 1.0,
             singular_in_row: 0,
+            read_m: vec![f64::NAN; cables],
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],
             maxima_n: settings.arm.tension_maxima_n(),
@@ -355,7 +358,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             Mode::Disarmed | Mode::Starting => self.observing,
             _ => true,
         };
-        self.encoders.check(&inputs.encoders, inputs.now_ns, model, watch, faults);
+        let torque = inputs.drives.phase == DrivesPhase::Enabled;
+        for (c, (along, drum)) in self.read_m.iter_mut().zip(inputs.encoders.lengths_m).enumerate() {
+            *along = self.arm.along_arm(c, *drum, if torque { self.sent[c] } else { 0.0 });
+        }
+        let told = inputs.encoders.lengths_m.len().min(self.read_m.len());
+        let readings = EncoderReadings { lengths_m: &self.read_m[..told], ..inputs.encoders };
+        self.encoders.check(&readings, inputs.now_ns, model, watch, faults);
         if self.observing && self.encoders.bridged().0 != 0 {
             limits.insert(Limit::EncoderBridged);
         }
