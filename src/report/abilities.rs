@@ -162,7 +162,7 @@ mod tests {
         let moment = (config.tension_n_max - config.tension_n_min) * 0.05 * 2.0 * (60f64).to_radians().sin();
         assert_eq!(segment, 0);
         assert!((force / (moment / 2.75) - 1.0).abs() < 1e-9, "{force} N");
-        config.segments[2].tension_n_max = 20.0;
+        config.segments[2].tension_n_max = Some(20.0);
         assert_eq!(force_at_tip(&config).1, 2, "weak cables give way first");
     }
 
@@ -174,7 +174,7 @@ mod tests {
         assert!(whole.tips.iter().all(|[along, across]| along.hypot(*across) < 2.751));
         assert!(whole.across_m > 1.2 && whole.from_straight_m > 1.2, "{whole:?}");
         let mut weak = config.clone();
-        weak.segments.iter_mut().for_each(|s| s.tension_n_max = config.tension_n_min + 10.0);
+        weak.segments.iter_mut().for_each(|s| s.tension_n_max = Some(config.tension_n_min + 10.0));
         weak.tension_n_max = config.tension_n_min + 10.0;
         // 10 N bend a segment by 0.08 rad at most: 0.1 m of tip for each.
         assert!(slice(&weak).across_m < 0.5, "{}", slice(&weak).across_m);
