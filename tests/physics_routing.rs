@@ -33,7 +33,7 @@ fn a_couple_bends_a_tapered_segment_by_the_integral_of_its_compliance() {
     let (a, b, t) = (0.4, 2.5, 20.0);
     let moment = 2.0 * t * HOLE;
     // EI from a to b times its own: the slope at the end is M L ln(b/a) / (EI (b - a)); with a step, that of two beams.
-    let taper = moment / EI * LENGTH * (b / a as f64).ln() / (b - a);
+    let taper = moment / EI * LENGTH * f64::ln(b / a) / (b - a);
     let step = moment / EI * LENGTH * (0.37 / a + 0.63 / b);
     let cases =
         [(Profile(vec![[0.0, a], [1.0, b]]), taper), (Profile(vec![[0.0, a], [0.37, a], [0.37, b], [1.0, b]]), step)];

@@ -90,7 +90,7 @@ const REACH: Duration = Duration::from_secs(10);
 fn say_reach(client: &Client) -> miette::Result<Outcome> {
     let states = client.states().into_diagnostic()?;
     let deadline = Instant::now() + REACH;
-    let mut first = None;
+    let (mut first, mut out) = (None, None);
     while Instant::now() < deadline {
         let Some(state) = states.wait(Duration::from_secs(1)).into_diagnostic()? else { break };
         // The tick of the answer may have seen the target before; the next one has not.
@@ -99,6 +99,11 @@ fn say_reach(client: &Client) -> miette::Result<Outcome> {
             continue;
         }
         if let Some(reach) = ReachStatus::of(&state) {
+            // The tick that finds it out still tracks; whether it is refused shows the one after.
+            let found = *out.get_or_insert(state.header.tick);
+            if !reach.refused && state.header.tick < found + 2 {
+                continue;
+            }
             let refused = reach.refused;
             complain(format_args!("the target is out of reach: {}", reach.text()));
             return Ok(if refused { Outcome::Failed } else { Outcome::Done });

@@ -74,26 +74,7 @@ use std::path::PathBuf;
 /// of files can be given to both.
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
-/// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] = &[
-    &ARM,
-    &LOOP,
-    &PLANNER,
-    &WEIGHTS,
-    &OBSERVER,
-    &FRICTION,
-    &GOVERNOR,
-    &GUARD,
-    &SUPERVISION,
-    &OBSTACLES,
-    &TARGET,
-    &DRIVES,
-    &IPC,
-    &ACCESS,
-    &RECORDING,
-];
-
-/// What the daemon's files may hold.
+/// What the daemon's files may hold: its own tables, and the plant's.
 static KNOWN_TABLES: &[&TableSpec] = &[
     &ARM,
     &LOOP,
@@ -112,6 +93,9 @@ static KNOWN_TABLES: &[&TableSpec] = &[
     &RECORDING,
     &PLANT,
 ];
+
+/// All top-level tables of the daemon's files.
+pub static TABLES: &[&TableSpec] = KNOWN_TABLES.split_at(KNOWN_TABLES.len() - 1).0;
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]

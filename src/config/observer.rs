@@ -172,7 +172,7 @@ pub static OBSERVER: TableSpec = TableSpec {
             "bend_sigma_rad",
             Kind::Float(Range::closed(0.0, 1.0)),
             "rad",
-            "2e-4",
+            "5e-4",
             "... that does not depend on the bend: encoder steps, play of the cables in their holes.",
         ),
         Key::default(

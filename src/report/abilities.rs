@@ -78,7 +78,7 @@ pub fn slice(config: &ArmConfig) -> Slice {
             }
         }
         // NaN, too, starts anew.
-        if !(norm < REACHED * config.length_m()) {
+        if norm.is_nan() || norm >= REACHED * config.length_m() {
             rest.restart(&vec![0.0; count]);
         }
     }

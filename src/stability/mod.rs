@@ -4,15 +4,15 @@
 //! map of one tick, and margins. It runs the controller's own [`crate::control::Cycle`] against an arm of the library's own
 //! integrator and never talks to anything.
 //!
-//! - [`plant`]: the true arm.
-//! - [`held`]: arm and controller together, at rest at a pose or shape. A loop that is not stable cannot come to rest by itself,
+//! - `plant`: the true arm.
+//! - `held`: arm and controller together, at rest at a pose or shape. A loop that is not stable cannot come to rest by itself,
 //!   so the arm is led: at each tick it is put into its equilibrium at the governor's reference and the observer starts anew.
 //!   What rests so is a fixed point of the real loop, and its damping and delays do not matter to it.
-//! - [`spectrum`]: the tick's derivative there. A tick is run from the fixed point moved to either side along a direction of
+//! - `spectrum`: the tick's derivative there. A tick is run from the fixed point moved to either side along a direction of
 //!   all that arm and controller remember; the difference is the derivative along it. Arnoldi's method builds a basis from
 //!   such products, and faer finds the eigenvalues of the small matrix that is left.
-//! - [`modes`]: what an eigenvector moves.
-//! - [`margins`]: how far one property of the true arm may be from its model's.
+//! - `modes`: what an eigenvector moves.
+//! - `margins`: how far one property of the true arm may be from its model's.
 //!
 //! The least tensions are not part of it: a cable at its least tension answers to one side only, and a loop that swings
 //! lifts it off within a period. So all cables are held a little above.

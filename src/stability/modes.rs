@@ -83,7 +83,7 @@ impl LoopMode {
         // A real eigenvalue below zero turns its sign every tick: no oscillation of the arm, but at the tick's own pace.
         let own = layout.nth(Kept::Coordinates, 0).unwrap_or((0, 0));
         let other = layout.nth(Kept::Coordinates, 1);
-        let sent = layout.0.iter().filter(|(kept, ..)| *kept == Kept::Tensions).next_back().map(|(_, at, n)| (*at, *n));
+        let sent = layout.0.iter().rfind(|(kept, ..)| *kept == Kept::Tensions).map(|(_, at, n)| (*at, *n));
         let tip_of = |at: (usize, usize)| [0, 1].map(|part| last_position(moved.slice(part, at)));
         let tip = tip_of(own);
         let size = |v: &[Vector3<f64>; 2]| v[0].norm().hypot(v[1].norm());
@@ -98,7 +98,7 @@ impl LoopMode {
             modulus,
             frequency_hz: omega.abs() / TAU,
             growth_1ps: growth,
-            damping_ratio: if omega == 0.0 { growth.signum() * -1.0 } else { -growth / growth.hypot(omega) },
+            damping_ratio: if omega == 0.0 { -growth.signum() } else { -growth / growth.hypot(omega) },
             torsion: energy.twist,
             bending: energy.bends,
             inside: energy.inside,

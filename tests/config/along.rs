@@ -50,7 +50,7 @@ fn a_route_gives_each_disk_its_holes() {
     let arm = second("cables_from = 1", &table).unwrap();
     for (place, radius, turn) in [(0.0, 0.05, 0.0), (0.5, 0.04, 20.0), (1.0, 0.03, 40.0), (2.0, 0.01, 80.0)] {
         let [y, z] = arm.segments[1].hole_m(2, place);
-        let angle = (30.0 + 120.0 + turn as f64).to_radians();
+        let angle = f64::to_radians(30.0 + 120.0 + turn);
         assert!((y - radius * angle.cos()).abs() < 1e-12 && (z - radius * angle.sin()).abs() < 1e-12, "{place}");
     }
 }
