@@ -116,7 +116,8 @@ fn a_target_that_runs_is_followed_at_the_scaled_speed() {
         bench.target = Some(target(&Pose { position, quaternion, curvatures: Vec::new() }, Vector3::zeros()));
     });
     assert_eq!(bench.cycle.mode(), Mode::Tracking);
-    assert!(fastest < (0.5 + SWING_SHARE) * speed, "{fastest} m/s");
+    // The target sets off at once, and the arm swings for it: by less than the speed that it takes on.
+    assert!(fastest < 0.9 * speed, "{fastest} m/s");
     assert!((0.35..0.55).contains(&(gone / seconds / speed)), "{gone} m in {seconds} s");
 }
 

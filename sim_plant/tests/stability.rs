@@ -87,7 +87,6 @@ fn run(
         (window.iter().map(|x| x * x).sum::<f64>() / window.len() as f64).sqrt()
     };
     let growth = (size(to_s) / size(from_s)).ln() / (to_s - from_s);
-    println!("{:.2e} m, {:.2e} m: {growth:.4} 1/s, told {:.4}", size(from_s), size(to_s), mode.growth_1ps);
     growth
 }
 
