@@ -86,8 +86,7 @@ fn run(
         let window = &swing[end - 2 * half..end];
         (window.iter().map(|x| x * x).sum::<f64>() / window.len() as f64).sqrt()
     };
-    let growth = (size(to_s) / size(from_s)).ln() / (to_s - from_s);
-    growth
+    (size(to_s) / size(from_s)).ln() / (to_s - from_s)
 }
 
 /// Runs a loop and compares: within a tenth, or where both are small 0.004 1/s.
