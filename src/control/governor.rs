@@ -52,6 +52,9 @@ const BLOCKED_RAD: f64 = 0.1;
 const AHEAD_OF_PLANNER: f64 = 7e-4;
 /// Root mean square speed of the arm's mass up to which a tip keeps its task, over the arm's length (1/s).
 const QUIET: f64 = 0.04;
+/// Largest standard deviation of a position that obstacles are given way for, over the arm's length: an arm that swings because it
+/// dodges must not dodge the more for it.
+const SIGMA_MAX: f64 = 0.0025;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
@@ -111,6 +114,8 @@ pub struct Governor {
     reference: Reference,
     covariance: PositionCovariance,
     sigmas: f64,
+    /// Largest standard deviation that obstacles are given way for (m).
+    sigma_max_m: f64,
     doubt: Vec<f64>,
     possible_swing_m: f64,
     rate: Vec<f64>,
@@ -194,6 +199,7 @@ impl Governor {
             reference: Reference::new(arm, config, planner.body_radius_m, &around),
             covariance: PositionCovariance::new(arm, observer),
             sigmas: observer.margin_sigmas,
+            sigma_max_m: SIGMA_MAX * config.length_m(),
             doubt: vec![0.0; arm.elements.len()],
             possible_swing_m: 0.0,
             rate: vec![0.0; count],
@@ -708,7 +714,8 @@ impl Governor {
         self.damp(h);
         self.covariance.update(curvatures, self.reference.ends(), self.possible_swing_m);
         let sigma = self.covariance.element_sigma_m();
-        self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma);
+        let most_m = self.sigma_max_m;
+        self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma.min(most_m));
         self.reference.set_doubt(&self.doubt);
         if self.kind == Kind::Rest && !on_path && self.holds_tip == Some(false) {
             (self.position, self.quaternion) = self.reference.rest().tip();
