@@ -77,7 +77,9 @@ impl Fields for SourceReport {
         sink.u64("sequence", self.sequence);
         sink.f64("age_s", self.age_s);
         sink.u64("accepted", self.accepted);
-        sink.integers("rejected", &self.rejected);
+        // By cause, as far as there were any.
+        let last = self.rejected.iter().rposition(|count| *count != 0);
+        sink.integers("rejected", first(&self.rejected, last.map_or(0, |last| last as u32 + 1)));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::encoders::admit;
 use super::{InputLimits, SourceLog, check, elapsed_s, seconds_to_ns};
-use crate::ipc::payload::{MAX_CURVATURES, NO_TICK, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
+use crate::ipc::payload::{MAX_CURVATURES, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Points kept: 0.6 s ahead at 100 Hz, with the one in use.
@@ -88,7 +88,7 @@ impl TargetTrack {
                 self.log.accept(&message.header);
                 self.log.publisher = publisher;
             }
-            Err(cause) => self.log.reject(cause),
+            Err(cause) => self.log.refuse(cause, &message.header),
         }
         checked
     }
@@ -214,7 +214,7 @@ impl TargetTrack {
 
     /// Whether the target of `tick` or later is here (lockstep).
     pub fn is_ready_for(&self, tick: u64) -> bool {
-        self.log.last.is_some_and(|h| h.tick >= tick && h.tick != NO_TICK)
+        self.log.has_come_for(tick)
     }
 }
 
