@@ -6,9 +6,7 @@ use nalgebra::{Vector3, Vector4};
 use sinew::collision::{Body, BodyGeometry, Shape};
 use sinew::config::{BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
 use sinew::control::obstacles::Placement;
-use sinew::control::{CURVATURES_MAX, Mode, Request, Settings, Target, TargetInput};
-use sinew::model::Arm;
-use sinew::scenario::Course;
+use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
 
 /// Time before a path at its first pose (s).
 const APPROACH_S: f64 = 10.0;
@@ -60,6 +58,7 @@ pub fn scaled(scenario: &ScenarioConfig, s: f64) -> ScenarioConfig {
         }
         Task::Shape { curvatures_1pm, .. } => curvatures_1pm.iter_mut().for_each(|k| *k /= s),
     }
+    scenario.planner.body_radius_m *= s;
     match &mut scenario.start {
         Start::Straight => {}
         Start::Tensions(tensions_n) => tensions_n.iter_mut().for_each(|u| *u *= s.powi(4)),
@@ -105,15 +104,7 @@ pub fn follow(
 ) -> Result<Followed, String> {
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
-    let mut settings = Settings::new(&config);
-    let (state, tensions) = Course::new(scenario).start(&config.arm).map_err(|error| error.to_string())?;
-    settings.start_tensions_n = tensions.iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-    let arm = Arm::new(&config.arm);
-    let count = 2 * arm.segment_count();
-    let (mut k, mut kd) = (vec![0.0; count], vec![0.0; count]);
-    arm.curvatures_into(&state.q, &state.qd, &mut k, &mut kd);
-    let mut bench = Bench::new(&config, &settings, truth);
-    bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).map_err(|error| error.to_string())?;
+    let mut bench = Bench::at_start_of(scenario, &config, truth)?;
     for (k, obstacle) in scenario.obstacles.iter().enumerate() {
         let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
         bench.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;

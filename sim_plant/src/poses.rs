@@ -2,16 +2,10 @@
 
 use crate::bench::Bench;
 use nalgebra::{Vector3, Vector4};
-use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::Config;
 use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
-use sinew::model::Arm;
-use sinew::posture::RestingArm;
+use sinew::stability::random_posture;
 use std::io::{self, Write};
-
-/// Largest bend angle of a segment of a random posture (rad).
-const BEND_MAX_RAD: f64 = 1.3;
 
 /// A pose with the posture that it was made from.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,37 +20,8 @@ pub struct Pose {
 
 /// The pose of the model's equilibrium at random mean curvatures.
 pub fn random(config: &Config, seed: u64) -> Pose {
-    let arm = Arm::new(&config.arm);
-    let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-    let u = vec![config.arm.tension_n_min; arm.cable_count()];
-    loop {
-        let curvatures: Vec<f64> = config
-            .arm
-            .segments
-            .iter()
-            .flat_map(|s| {
-                // Evenly over the disc of bends.
-                let bend = BEND_MAX_RAD * rng.random_range(0.0f64..1.0).sqrt();
-                let side = rng.random_range(0.0..std::f64::consts::TAU);
-                [bend * side.cos() / s.length_m, bend * side.sin() / s.length_m]
-            })
-            .collect();
-        let mut rest = RestingArm::new(&arm);
-        let mut norm = f64::NAN;
-        for k in 1..=24 {
-            let share = (f64::from(k) / 16.0).min(1.0);
-            let wanted: Vec<f64> = curvatures.iter().map(|c| share * c).collect();
-            if rest.linearize(&u).is_err() {
-                norm = f64::NAN;
-                break;
-            }
-            norm = rest.advance(&wanted);
-        }
-        if norm < 1e-8 {
-            let (position, quaternion) = rest.tip();
-            return Pose { position, quaternion, curvatures };
-        }
-    }
+    let (curvatures, (position, quaternion)) = random_posture(config, seed);
+    Pose { position, quaternion, curvatures }
 }
 
 /// What a pose showed, all by the true arm.
@@ -204,7 +169,7 @@ pub fn show(
     let k = bench.truth.curvatures();
     shown.curvature_error = k.iter().zip(&pose.curvatures).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     shown.tension_rate_max = bench.tension_rate_max_nps;
-    shown.reach = bench.cycle.governor().outcome().map_or(f64::NAN, |o| o.position_m);
+    shown.reach = bench.cycle.governor().reach().map_or(f64::NAN, |reach| reach.miss_m);
     shown.saturated = last_u.iter().filter(|u| **u > 0.999 * bench.truth.config().tension_n_max).count();
     Ok(shown)
 }

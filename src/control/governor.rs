@@ -8,14 +8,15 @@
 //! curvatures does not.
 
 use super::pace::Pace;
+use super::path::{Path, Way};
 use super::reach::Reach;
 use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, OutOfReach, PlannerConfig, Scale};
 use crate::estimator::PositionCovariance;
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
 use crate::posture::{
-    Inverse, InverseSettings, Met, Outcome, POSE, Reference, ReferenceSettings, RestingArm, Surroundings, Wanted,
-    pose_error, pose_weights, segment_lengths,
+    InverseSettings, Met, POSE, Reference, ReferenceSettings, RestingArm, Search, Surroundings, Wanted, pose_error,
+    pose_weights, segment_lengths,
 };
 use nalgebra::{Vector3, Vector4};
 
@@ -59,18 +60,6 @@ const SIGMA_MAX: f64 = 0.0025;
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
 const ITERATIONS_PER_TICK: usize = 2;
-/// Iterations after which a start of the inverse statics is given up.
-const ITERATIONS_MAX: usize = 120;
-/// Iterations have ended where no bend angle changes by more than this (rad).
-const CONVERGED_RAD: f64 = 2e-5;
-/// The pose is reached as well as it can be where another centre changes no bend angle by more than this (rad).
-const RECENTRED_RAD: f64 = 1e-3;
-/// Samples along a path for its length.
-const SAMPLES: usize = 16;
-/// Peak rate, acceleration and where a quintic from rest to rest has them: 15/8 and 10/sqrt(3).
-const PEAK_RATE: f64 = 1.875;
-const PEAK_ACCELERATION: f64 = 5.774;
-
 /// The governor of one arm. [`Governor::new`] allocates, nothing else does.
 #[derive(Debug, Clone)]
 pub struct Governor {
@@ -81,33 +70,25 @@ pub struct Governor {
     approach_s: f64,
     /// A target that moves by more than this at once is a step (m).
     step_m: f64,
-    /// Range of the tensions of each segment's cables (N).
-    tension_range_n: Vec<f64>,
-    inverse: Inverse,
+    /// The search for the posture of a new target, and the way to it.
+    search: Search,
+    way: Way,
     /// Length of the segment of each curvature (m).
     length: Vec<f64>,
     tensions: Vec<f64>,
     kind: Kind,
-    /// Target that `inverse` is at or on its way to.
+    /// Target that the search is at or on its way to.
     position: Vector3<f64>,
     quaternion: Vector4<f64>,
-    /// Iterations so far and starts tried, while a new target is looked for.
-    solving: Option<(usize, usize)>,
     /// At rest after a tip target: the tip is held, and whether it is already known where.
     holds_tip: Option<bool>,
-    /// Best equilibrium so far of those starts, and its error.
-    best: RestingArm,
-    best_error: f64,
-    best_load: f64,
     /// How near the arm gets to the tip target; `None` while that is looked for.
     reach: Option<Reach>,
     /// Time for which a tip target that is followed has been missed with nothing in the way (s).
     missed_s: f64,
     goal: Vec<f64>,
-    /// Coefficients of `e` over time/duration, six per curvature.
-    offset: Vec<[f64; 6]>,
-    duration: f64,
-    time: f64,
+    /// `e`.
+    path: Path,
     /// What the path wants, at this tick and the one before (1/m).
     desired: Vec<f64>,
     before_desired: Vec<f64>,
@@ -136,12 +117,7 @@ pub struct Governor {
     blocked_s: f64,
     /// Time for which the reference has not come nearer to the goal after its path (s).
     stuck_s: f64,
-    outcome: Option<Outcome>,
     blocked: bool,
-    q: Vec<f64>,
-    chain: Vec<f64>,
-    joints: Vec<Vector3<f64>>,
-    before: Vec<Vector3<f64>>,
 }
 
 impl Governor {
@@ -176,24 +152,18 @@ impl Governor {
             fade_s: scale.time_s(FADE),
             approach_s: scale.time_s(APPROACH),
             step_m: STEP * config.length_m(),
-            tension_range_n,
-            inverse: Inverse::new(arm, &inverse),
+            search: Search::new(arm, &inverse, &tension_range_n),
+            way: Way::new(arm, &length),
             length,
             tensions: vec![tension_n; arm.cable_count()],
             kind: Kind::Rest,
             position: Vector3::zeros(),
             quaternion: Vector4::new(1.0, 0.0, 0.0, 0.0),
-            solving: None,
             holds_tip: None,
-            best: RestingArm::new(arm),
-            best_error: f64::INFINITY,
-            best_load: 0.0,
             reach: None,
             missed_s: 0.0,
             goal: vec![0.0; count],
-            offset: vec![[0.0; 6]; count],
-            duration: 0.0,
-            time: 0.0,
+            path: Path::new(count),
             desired: vec![0.0; count],
             before_desired: vec![0.0; count],
             reference: Reference::new(arm, config, planner.body_radius_m, &around),
@@ -215,12 +185,7 @@ impl Governor {
             met: Met::default(),
             blocked_s: 0.0,
             stuck_s: 0.0,
-            outcome: None,
             blocked: false,
-            q: arm.straight(),
-            chain: vec![0.0; count],
-            joints: vec![Vector3::zeros(); arm.segment_count()],
-            before: vec![Vector3::zeros(); arm.segment_count()],
         }
     }
 
@@ -303,19 +268,14 @@ impl Governor {
         (self.position, self.quaternion)
     }
 
-    /// Largest bend angle between two postures (rad).
-    fn bend_between(&self, a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).zip(&self.length).map(|((a, b), l)| (a - b).abs() * l).fold(0.0, f64::max)
-    }
-
     /// Time until the path of the last step ends (s), if nothing is in its way.
     pub fn remaining_s(&self) -> f64 {
-        self.duration - self.time
+        self.path.remaining_s()
     }
 
     /// Whether a new target is still being looked for.
     pub fn is_solving(&self) -> bool {
-        self.solving.is_some()
+        self.search.is_under_way()
     }
 
     /// Whether the arm cannot follow, and the reference waits.
@@ -325,7 +285,7 @@ impl Governor {
 
     /// Whether a way to mean curvatures (1/m) is over, and the reference is there.
     pub fn has_arrived(&self, curvatures: &[f64]) -> bool {
-        self.kind == Kind::Shape && !self.on_path() && self.bend_between(self.reference(), curvatures) < ARRIVED_RAD
+        self.kind == Kind::Shape && !self.on_path() && self.way.bend_between(self.reference(), curvatures) < ARRIVED_RAD
     }
 
     /// Whether a way is over without having led to its goal.
@@ -333,17 +293,11 @@ impl Governor {
         self.stuck_s > STUCK_S
     }
 
-    /// How well the posture reaches the tip target; `None` where there is none.
-    pub fn outcome(&self) -> Option<Outcome> {
-        self.outcome
-    }
-
     /// Starts from where the arm is, a shape `q` with multipliers and mean curvatures (1/m), at rest.
     pub fn restart(&mut self, q: &[f64], lambda: &[f64], curvatures: &[f64]) {
         self.kind = Kind::Rest;
         self.holds_tip = None;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
         self.reach = None;
         self.pace.restart();
         self.blocked = false;
@@ -357,9 +311,7 @@ impl Governor {
         self.mean.fill(0.0);
         self.answer.fill(0.0);
         self.command.copy_from_slice(curvatures);
-        self.offset.fill([0.0; 6]);
-        self.duration = 0.0;
-        self.time = 0.0;
+        self.path.end();
     }
 
     /// One tick of `h` seconds towards what is wanted; `curvatures` (1/m) are those of the arm. Does not allocate.
@@ -392,10 +344,9 @@ impl Governor {
             self.reach = None;
         }
         self.kind = Kind::Rest;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
         // As far as the present rates carry while they fade, at four times the acceleration of a path.
-        let speed = self.speed();
+        let speed = self.way.speed(self.reference.rest().curvatures(), &self.rate);
         let fade_s = (0.5 * speed / self.settings.acceleration_mps2).max(0.2);
         for i in 0..self.goal.len() {
             self.goal[i] = self.reference()[i] + 0.5 * fade_s * self.rate[i];
@@ -411,8 +362,7 @@ impl Governor {
             .fold(0.0, f64::max);
         let new = self.kind != Kind::Shape || step > STEP_RAD;
         self.kind = Kind::Shape;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
         self.reach = None;
         for i in 0..self.goal.len() {
             // What no cable moves is left as it is.
@@ -443,13 +393,9 @@ impl Governor {
             self.kind = Kind::Tip;
             self.position = *position;
             self.quaternion = *quaternion;
-            self.best_error = f64::INFINITY;
             self.reach = None;
             self.missed_s = 0.0;
-            self.solving = Some((0, 0));
-            // Of all postures the one that is nearest.
-            self.inverse.rest_mut().copy_from(self.reference.rest());
-            self.inverse.centre_at(self.reference.rest().curvatures().iter().copied());
+            self.search.begin(self.reference.rest());
             self.last = (*position, *quaternion);
         } else {
             self.last = (self.position, self.quaternion);
@@ -460,85 +406,37 @@ impl Governor {
             let s = share(turn.norm(), rate * h);
             self.quaternion = product(&self.quaternion, &from_rotation_vector(&(s * turn))).normalize();
         }
-        match self.solving {
-            Some((iterations, starts)) => self.solve(iterations, starts),
-            None if self.time < self.duration && self.last.0 != self.position => {
-                if let Ok(outcome) = self.inverse.iterate(&self.tensions, &self.position, &self.quaternion) {
-                    self.outcome = Some(outcome);
-                    self.goal.copy_from_slice(self.inverse.rest().curvatures());
-                }
-            }
-            None => {}
+        if self.search.is_under_way() {
+            self.solve();
+        } else if self.path.is_under_way()
+            && self.last.0 != self.position
+            && self.search.inverse_mut().iterate(&self.tensions, &self.position, &self.quaternion).is_ok()
+        {
+            self.goal.copy_from_slice(self.search.inverse_mut().rest().curvatures());
         }
     }
 
-    fn solve(&mut self, mut iterations: usize, mut starts: usize) {
-        for _ in 0..ITERATIONS_PER_TICK {
-            let outcome = self.inverse.iterate(&self.tensions, &self.position, &self.quaternion);
-            iterations += 1;
-            let ended = match outcome {
-                Ok(outcome) => {
-                    let mut converged = outcome.change_rad < CONVERGED_RAD;
-                    if converged {
-                        // What bending costs has held it off the pose: from here it costs nothing, until that changes nothing.
-                        let rest = self.inverse.rest().curvatures();
-                        let off = rest.iter().zip(self.inverse.centre()).zip(&self.length);
-                        converged = off.map(|((k, c), l)| (k - c).abs() * l).fold(0.0, f64::max) < RECENTRED_RAD;
-                        self.inverse.recentre();
-                    }
-                    if converged || iterations == ITERATIONS_MAX {
-                        // A posture beyond the cables' tensions is none.
-                        let mut load = 0.0f64;
-                        for segment in 0..self.joints.len() {
-                            load = load.max(self.inverse.rest().load_into(
-                                segment,
-                                self.tension_range_n[segment],
-                                &mut self.drift,
-                            ));
-                        }
-                        let reach = self.reach_of(self.inverse.rest(), load);
-                        let error = reach.error_m(self.settings.reach_m, self.settings.attitude_length_m);
-                        if error < self.best_error {
-                            self.best_error = error;
-                            self.best_load = load;
-                            self.best.copy_from(self.inverse.rest());
-                            self.outcome = Some(outcome);
-                        }
-                        true
-                    } else {
-                        false
-                    }
-                }
-                Err(_) => true,
-            };
-            if !ended {
-                continue;
-            }
-            let reached = self.best_error < self.settings.reach_m;
-            if !reached && starts < STARTS {
-                starts += 1;
-                iterations = 0;
-                self.chain_of_start(starts);
-                self.inverse.rest_mut().restart(&self.chain);
-                self.inverse.centre_at(std::iter::repeat(0.0));
-                continue;
-            }
-            self.solving = None;
-            if !self.best_error.is_finite() {
-                // No equilibrium at all was found on the way there.
-                self.reach = Some(Reach { is_out: true, ..self.reach_of(self.reference.rest(), 0.0) });
-                return;
-            }
-            self.reach = Some(self.reach_of(&self.best, self.best_load));
-            self.inverse.rest_mut().copy_from(&self.best);
-            // A target that is refused moves nothing.
-            if !self.is_refused() {
-                self.goal.copy_from_slice(self.best.curvatures());
-                self.begin(None);
-            }
+    fn solve(&mut self) {
+        let (target, reach_m) = ((self.position, self.quaternion), self.settings.reach_m);
+        let attitude_length_m = self.settings.attitude_length_m;
+        let of = |rest: &RestingArm, load: f64| Reach::of(rest, load, &target, reach_m, attitude_length_m);
+        let error = |rest: &RestingArm, load: f64| of(rest, load).error_m(reach_m, attitude_length_m);
+        let ended =
+            (0..ITERATIONS_PER_TICK).any(|_| self.search.iterate(&self.tensions, &target.0, &target.1, reach_m, error));
+        if !ended {
             return;
         }
-        self.solving = Some((iterations, starts));
+        let Some((best, load)) = self.search.best() else {
+            // No equilibrium at all was found on the way there.
+            self.reach = Some(Reach { is_out: true, ..of(self.reference.rest(), 0.0) });
+            return;
+        };
+        self.reach = Some(of(best, load));
+        // A target that is refused moves nothing.
+        if self.settings.out_of_reach == OutOfReach::Approach || !self.reach.is_some_and(|reach| reach.is_out) {
+            self.goal.copy_from_slice(best.curvatures());
+            self.begin(None);
+        }
     }
 
     fn reach_of(&self, rest: &RestingArm, load: f64) -> Reach {
@@ -576,100 +474,34 @@ impl Governor {
         self.reach = Some(Reach { is_out, ..now });
     }
 
-    /// Other postures to start from: straight, then bent towards one side after another.
-    fn chain_of_start(&mut self, start: usize) {
-        self.chain.fill(0.0);
-        if start > 1 {
-            let angle = 2.4 * start as f64;
-            for (i, k) in self.chain.iter_mut().enumerate() {
-                let bend = if (i / 2) % 2 == start % 2 { 0.9 } else { 0.3 };
-                *k = bend / self.length[i] * if i % 2 == 0 { angle.cos() } else { angle.sin() };
-            }
-        }
-    }
-
     /// Makes `e` what lies between reference and goal, with the reference's motion, and fade; within a time that is given, at
     /// the limits of a path without one.
     fn begin(&mut self, duration_s: Option<f64>) {
         // The path's own time goes by at the pace: a given time is one of the clock.
         let pace = self.pace.now();
-        let t = duration_s.map_or_else(|| self.duration_for(), |real_s| pace * real_s);
-        let real_s = t / pace;
-        for i in 0..self.goal.len() {
-            let (c0, c1, c2) = (
-                self.reference()[i] - self.goal[i],
-                self.rate[i] * real_s,
-                0.5 * self.acceleration[i] * real_s * real_s,
-            );
-            self.offset[i] = [
-                c0,
-                c1,
-                c2,
-                -10.0 * c0 - 6.0 * c1 - 3.0 * c2,
-                15.0 * c0 + 8.0 * c1 + 3.0 * c2,
-                -6.0 * c0 - 3.0 * c1 - c2,
-            ];
-        }
-        self.duration = t;
-        self.time = 0.0;
+        let kappa = self.reference.rest().curvatures();
+        let own_s = duration_s.map_or_else(
+            || {
+                let speed = self.way.speed(kappa, &self.rate);
+                self.way.duration_s(kappa, &self.goal, pace * speed, &self.settings)
+            },
+            |clock_s| pace * clock_s,
+        );
+        let offset = kappa.iter().zip(&self.goal).map(|(kappa, goal)| kappa - goal);
+        let motion = self.rate.iter().zip(&self.acceleration);
+        self.path.begin(
+            own_s,
+            pace,
+            offset.zip(motion).map(|(offset, (rate, acceleration))| (offset, *rate, *acceleration)),
+        );
         self.blocked_s = 0.0;
-        self.desired.copy_from_slice(self.reference.rest().curvatures());
+        self.desired.copy_from_slice(kappa);
         self.before_desired.copy_from_slice(&self.desired);
-    }
-
-    /// Speed of the reference's fastest joint (m/s), by the constant-curvature chain.
-    fn speed(&mut self) -> f64 {
-        let dt = 1e-3;
-        self.joints_at(0.0);
-        let before: Vector3<f64> = self.joints[self.joints.len() - 1];
-        for i in 0..self.chain.len() {
-            self.chain[i] = self.reference()[i] + dt * self.rate[i];
-        }
-        self.place_joints();
-        (self.joints[self.joints.len() - 1] - before).norm() / dt
-    }
-
-    fn joints_at(&mut self, share: f64) {
-        for i in 0..self.chain.len() {
-            let from = self.reference()[i];
-            self.chain[i] = from + share * (self.goal[i] - from);
-        }
-        self.place_joints();
-    }
-
-    fn place_joints(&mut self) {
-        let arm = self.inverse.rest().arm();
-        arm.bent_into(&self.chain, &mut self.q);
-        for (joint, range) in self.joints.iter_mut().zip(&arm.segment_elements) {
-            *joint = arm.pose(&self.q, range.end).0;
-        }
-    }
-
-    /// Time (s) in which the way from reference to goal keeps to the limits.
-    fn duration_for(&mut self) -> f64 {
-        let s = self.settings;
-        let speed = self.speed();
-        let mut fastest = 0.0f64;
-        self.joints_at(0.0);
-        self.before.copy_from_slice(&self.joints);
-        for k in 1..=SAMPLES {
-            self.joints_at(k as f64 / SAMPLES as f64);
-            for (joint, before) in self.joints.iter().zip(&mut self.before) {
-                fastest = fastest.max((joint - *before).norm() * SAMPLES as f64);
-                *before = *joint;
-            }
-        }
-        let bend = self.bend_between(self.reference(), &self.goal);
-        (PEAK_RATE * fastest / s.speed_mps)
-            .max((PEAK_ACCELERATION * fastest / s.acceleration_mps2).sqrt())
-            .max(PEAK_RATE * bend / s.bend_rate_radps)
-            .max(4.0 * speed * self.pace.now() / s.acceleration_mps2)
-            .max(0.1)
     }
 
     /// Whether a path after a step is under way.
     fn on_path(&self) -> bool {
-        self.time < self.duration
+        self.path.is_under_way()
     }
 
     fn move_on(&mut self, h: f64, q: &[f64], curvatures: &[f64], around: Option<&Surroundings<'_>>) {
@@ -680,31 +512,22 @@ impl Governor {
         if on_path {
             // Both what the reference lacks of the path, because of obstacles, and what the arm lacks of the reference.
             let error = self
+                .way
                 .bend_between(self.reference(), curvatures)
-                .max(2.0 * self.bend_between(self.reference(), &self.desired));
+                .max(2.0 * self.way.bend_between(self.reference(), &self.desired));
             let free = (2.0 - error / BLOCKED_RAD).clamp(0.0, 1.0);
             pace *= free;
             self.blocked = free < 0.5;
             self.blocked_s = if self.blocked { self.blocked_s + h } else { 0.0 };
         }
-        self.time = (self.time + pace * h).min(self.duration);
+        self.path.advance(pace * h);
         if self.blocked_s > GIVE_UP_S {
-            self.time = self.duration;
+            self.path.give_up();
         }
-        let away = self.kind == Kind::Shape && self.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
+        let away = self.kind == Kind::Shape && self.way.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
         self.stuck_s = if away && !on_path { self.stuck_s + full_pace * h } else { 0.0 };
-        let x = if self.duration > 0.0 { self.time / self.duration } else { 1.0 };
-        let t = self.duration.max(1e-9);
         for i in 0..self.goal.len() {
-            let c = &self.offset[i];
-            let (e, e2) = if x >= 1.0 {
-                (0.0, 0.0)
-            } else {
-                (
-                    c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5])))),
-                    (2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * 20.0 * c[5]))) / (t * t),
-                )
-            };
+            let (e, e2) = self.path.at(i);
             self.desired[i] = self.goal[i] + e;
             self.acceleration[i] = pace * pace * e2;
         }
@@ -725,7 +548,7 @@ impl Governor {
             self.last = (self.position, self.quaternion);
         }
         let steers_tip = match self.kind {
-            Kind::Tip => self.solving.is_none() && !self.is_refused(),
+            Kind::Tip => !self.search.is_under_way() && !self.is_refused(),
             Kind::Rest => self.holds_tip == Some(true),
             Kind::Shape => false,
         };
@@ -735,7 +558,7 @@ impl Governor {
         if following {
             // As far as nothing else is at stake, the posture stays.
             self.drift.fill(0.0);
-            drift_weight = self.inverse.effort();
+            drift_weight = self.search.effort();
             let at = self.reference.rest().tip();
             let lacks = pose_error(&at, &self.last.0, &self.last.1);
             let moved = pose_error(&(self.position, self.quaternion), &self.last.0, &self.last.1);
@@ -754,7 +577,7 @@ impl Governor {
             self.desired.copy_from_slice(kappa);
         } else {
             // Back to the path as slowly as anywhere.
-            let lacks = self.bend_between(kappa, &self.before_desired);
+            let lacks = self.way.bend_between(kappa, &self.before_desired);
             let share = (h / self.approach_s).min(1.0);
             let most = full_pace * self.settings.bend_rate_radps * h;
             let back = if share * lacks > most { most / lacks } else { share };
@@ -799,8 +622,6 @@ const GIVE_UP_S: f64 = 1.0;
 const ARRIVED_RAD: f64 = 0.01;
 /// Time after a path without its goal from which it is not waited for (s).
 const STUCK_S: f64 = 5.0;
-/// Starts tried after the first.
-const STARTS: usize = 6;
 
 /// Rotation vector (rad, frame of `a`) that takes attitude `a` to `b` the short way.
 fn rotation_between(a: &Vector4<f64>, b: &Vector4<f64>) -> Vector3<f64> {

@@ -27,6 +27,7 @@ pub mod guard;
 pub mod obstacles;
 pub mod overruns;
 mod pace;
+mod path;
 pub mod ramp;
 mod reach;
 pub mod record;

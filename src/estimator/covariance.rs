@@ -41,11 +41,7 @@ pub struct PositionCovariance {
 impl PositionCovariance {
     /// For an arm. Allocates.
     pub fn new(arm: &Arm, config: &ObserverConfig) -> Self {
-        let length: Vec<f64> = arm
-            .segment_elements
-            .iter()
-            .map(|range| arm.elements[range.clone()].iter().map(|e| e.length).sum())
-            .collect();
+        let length: Vec<f64> = (0..arm.segment_count()).map(|segment| arm.segment_length(segment)).collect();
         let whole: f64 = length.iter().sum();
         let mut behind = 0.0;
         let share = length.iter().map(|l| {

@@ -407,8 +407,8 @@ impl Observer {
         let [k, kd] = &mut self.curvatures;
         self.arm.curvatures_into(&self.state.q, &self.state.qd, k, kd);
         let mut largest = 0.0f64;
-        for (s, range) in self.arm.segment_elements.iter().enumerate() {
-            let length: f64 = self.arm.elements[range.clone()].iter().map(|e| e.length).sum();
+        for s in 0..self.arm.segment_count() {
+            let length = self.arm.segment_length(s);
             for rate in &kd[2 * s..2 * s + 2] {
                 largest = if rate.is_nan() { f64::NAN } else { largest.max(rate.abs() * length) };
             }

@@ -220,6 +220,11 @@ impl Arm {
         self.segment_elements.len()
     }
 
+    /// Length of a segment's elements (m).
+    pub fn segment_length(&self, segment: usize) -> f64 {
+        self.elements[self.segment_elements[segment].clone()].iter().map(|e| e.length).sum()
+    }
+
     /// Position and quaternion of node `i`, 0..=N.
     #[inline(always)]
     pub fn pose(&self, q: &[f64], i: usize) -> (Vector3<f64>, Vector4<f64>) {

@@ -566,6 +566,5 @@ fn dodge(
 
 /// Length of the segment of each mean curvature (m).
 pub fn segment_lengths(arm: &Arm) -> Vec<f64> {
-    let length = |range: &std::ops::Range<usize>| arm.elements[range.clone()].iter().map(|e| e.length).sum();
-    arm.segment_elements.iter().flat_map(|range| [length(range); 2]).collect()
+    (0..arm.segment_count()).flat_map(|segment| [arm.segment_length(segment); 2]).collect()
 }

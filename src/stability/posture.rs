@@ -2,10 +2,11 @@
 
 use super::StabilityError;
 use crate::config::{Config, GovernorConfig};
+use crate::control::Reach;
 use crate::estimator::CableSpace;
 use crate::model::Arm;
 use crate::planner::complementarity::{Problem, Solver};
-use crate::posture::{Inverse, InverseSettings, RestingArm, segment_lengths};
+use crate::posture::{InverseSettings, RestingArm, Search};
 use nalgebra::{Vector3, Vector4};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -17,12 +18,6 @@ const STEPS: u32 = 16;
 const MORE: u32 = 8;
 /// Norm of the coordinates' last correction, over the arm's length, where a shape is reached.
 const REACHED: f64 = 4e-9;
-/// Iterations of the inverse statics from one start, and starts.
-const ITERATIONS_MAX: usize = 120;
-const STARTS: usize = 6;
-/// A start has ended where no bend changes by more than this (rad), and another centre none by more than the second.
-const CONVERGED_RAD: f64 = 2e-5;
-const RECENTRED_RAD: f64 = 1e-3;
 /// Weight of the moments over that of the tensions' sum of squares, and how far beyond the box is looked.
 const MOMENTS: f64 = 1e6;
 const BEYOND: f64 = 100.0;
@@ -63,9 +58,8 @@ pub fn random_posture(config: &Config, seed: u64) -> (Vec<f64>, (Vector3<f64>, V
     }
 }
 
-/// Mean curvatures (1/m) of an equilibrium whose tip is at a pose (m, base frame; unit quaternion, body to base): of all that
-/// reach it one that bends little, from the straight arm first and then from bent ones, as the governor looks for it.
-/// Allocates.
+/// Mean curvatures (1/m) of an equilibrium whose tip is at a pose (m, base frame; unit quaternion, body to base), by the
+/// governor's own search from the straight arm. Allocates.
 ///
 /// # Errors
 /// [`StabilityError::OutOfReach`].
@@ -73,40 +67,17 @@ pub fn reach(config: &Config, position: &Vector3<f64>, quaternion: &Vector4<f64>
     let GovernorConfig { attitude_length_m, reach_m, .. } = config.governor;
     let arm = Arm::new(&config.arm);
     let u = vec![config.arm.tension_n_min; arm.cable_count()];
-    let length = segment_lengths(&arm);
-    let mut inverse = Inverse::new(&arm, &InverseSettings { attitude_length_m, ..InverseSettings::default() });
-    let mut best: Option<(f64, Vec<f64>)> = None;
-    for start in 0..=STARTS {
-        let angle = 2.4 * start as f64;
-        let chain: Vec<f64> = (0..length.len())
-            .map(|i| {
-                let bend = if (i / 2) % 2 == start % 2 { 0.9 } else { 0.3 };
-                let side = if i % 2 == 0 { angle.cos() } else { angle.sin() };
-                if start == 0 { 0.0 } else { bend / length[i] * side }
-            })
-            .collect();
-        inverse.rest_mut().restart(&chain);
-        inverse.centre_at(std::iter::repeat(0.0));
-        for _ in 0..ITERATIONS_MAX {
-            let Ok(outcome) = inverse.iterate(&u, position, quaternion) else { break };
-            if best.as_ref().is_none_or(|(error, _)| outcome.position_m < *error) {
-                best = Some((outcome.position_m, inverse.rest().curvatures().to_vec()));
-            }
-            if outcome.change_rad < CONVERGED_RAD {
-                let off = inverse.rest().curvatures().iter().zip(inverse.centre()).zip(&length);
-                if off.map(|((k, c), l)| (k - c).abs() * l).fold(0.0, f64::max) < RECENTRED_RAD {
-                    break;
-                }
-                inverse.recentre();
-            }
-        }
-        if best.as_ref().is_some_and(|(error, _)| *error < reach_m) {
-            break;
-        }
-    }
-    match best {
-        Some((error, curvatures)) if error < reach_m => Ok(curvatures),
-        other => Err(StabilityError::OutOfReach(other.map_or(f64::NAN, |(error, _)| error))),
+    let range_n: Vec<f64> =
+        config.arm.segments.iter().map(|s| config.arm.segment_tension_n_max(s) - config.arm.tension_n_min).collect();
+    let settings = InverseSettings { attitude_length_m, ..InverseSettings::default() };
+    let mut search = Search::new(&arm, &settings, &range_n);
+    search.begin(&RestingArm::new(&arm));
+    let of = |rest: &RestingArm, load| Reach::of(rest, load, &(*position, *quaternion), reach_m, attitude_length_m);
+    let error = |rest: &RestingArm, load| of(rest, load).error_m(reach_m, attitude_length_m);
+    while !search.iterate(&u, position, quaternion, reach_m, error) {}
+    match search.best().map(|(rest, load)| (rest, of(rest, load))) {
+        Some((rest, reach)) if !reach.is_out => Ok(rest.curvatures().to_vec()),
+        other => Err(StabilityError::OutOfReach(other.map_or(f64::NAN, |(_, reach)| reach.miss_m))),
     }
 }
 

@@ -29,25 +29,11 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
     let World { mut config, truth } = args.world(seed);
     let scenario = ScenarioConfig::find(name).unwrap_or_else(|error| panic!("{error}"));
     config.planner.avoidance = scenario.planner.avoidance;
-    let mut settings = Settings::new(&config);
     let tip = matches!(scenario.task, Task::Tip { .. });
-    let arm = sinew::model::Arm::new(&config.arm);
-    if tip {
-        // The reference's start, as in the observers' study.
-        let text = include_str!("../../../tests/golden/tip_start.json");
-        let value: serde_json::Value = serde_json::from_str(text).unwrap();
-        settings.start_tensions_n = value["u0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
-        settings.start_tensions_n.iter_mut().for_each(|u| *u = u.max(config.arm.tension_n_min));
-    }
-    let mut bench = Bench::new(&config, &settings, &truth);
-    if tip {
-        let text = include_str!("../../../tests/golden/tip_start.json");
-        let value: serde_json::Value = serde_json::from_str(text).unwrap();
-        let q: Vec<f64> = value["q0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
-        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
-        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
-        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
-    }
+    let mut bench = match tip {
+        true => Bench::at_start_of(&scenario, &config, &truth).expect("a start"),
+        false => Bench::new(&config, &Settings::new(&config), &truth),
+    };
     for obstacle in &scenario.obstacles {
         let shape = Shape::new(&obstacle.shape).unwrap();
         bench.obstacles.insert(bench.obstacles.now().len() as u64, &shape).unwrap();

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::bench::Bench;
 use sinew::collision::{Body, BodyGeometry, Shape};
-use sinew::config::{BodyModel, ShapeConfig};
+use sinew::config::{BodyModel, ScenarioConfig, ShapeConfig};
 use sinew::control::obstacles::Placement;
 use sinew::control::{Mode, Request, Settings, Target, TargetInput};
 use std::fs::File;
@@ -81,22 +81,13 @@ pub fn run(args: &Args, thrown: &Thrown) {
 
 fn one(args: &Args, thrown: &Thrown, seed: u64) -> Met {
     let World { config, truth } = args.world(seed);
-    let mut settings = Settings::new(&config);
-    let arm = sinew::model::Arm::new(&config.arm);
-    let start: serde_json::Value =
-        serde_json::from_str(include_str!("../../../tests/golden/tip_start.json")).expect("the paper's start");
-    let numbers =
-        |key: &str| -> Vec<f64> { start[key].as_array().into_iter().flatten().filter_map(|x| x.as_f64()).collect() };
-    if !thrown.straight {
-        settings.start_tensions_n = numbers("u0").iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-    }
-    let mut bench = Bench::new(&config, &settings, &truth);
-    if !thrown.straight {
-        let q = numbers("q0");
-        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
-        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
-        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
-    }
+    let mut bench = match thrown.straight {
+        true => Bench::new(&config, &Settings::new(&config), &truth),
+        false => {
+            let scenario = ScenarioConfig::find("tip").expect("built in");
+            Bench::at_start_of(&scenario, &config, &truth).expect("the paper's start")
+        }
+    };
     let mut met =
         Met { least: (f64::INFINITY, 0.0), speed: 0.0, tip: 0.0, end: 0.0, touched: 0.0, rate: 0.0, failed: None };
     if let Err(why) = bench.arm(60.0) {

@@ -160,7 +160,7 @@ impl<E: Estimator> Cycle<E> {
     pub fn new(settings: &Settings, estimator: E) -> Self {
         let steering = Steering::new(settings);
         let planner = Planner::new(&settings.arm, &settings.planner, steering.tension, &steering.change);
-        Self::with_planner(settings, estimator, planner)
+        Self::assemble(settings, estimator, planner, steering)
     }
 }
 
@@ -170,6 +170,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// # Panics
     /// As [`Cycle::new`].
     pub fn with_planner(settings: &Settings, estimator: E, planner: P) -> Self {
+        Self::assemble(settings, estimator, planner, Steering::new(settings))
+    }
+
+    fn assemble(settings: &Settings, estimator: E, planner: P, steering: Steering) -> Self {
         let arm = Arm::new(&settings.arm);
         let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
         assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
@@ -223,7 +227,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             positions: vec![Vector3::zeros(); nodes + 1],
             tangents: vec![Vector3::zeros(); nodes + 1],
             record: Record::default(),
-            steering: Steering::new(settings),
+            steering,
             settings: settings.clone(),
             arm,
             estimator,
