@@ -1,4 +1,4 @@
-//! What is watched while the arm holds or moves, beside its encoders: speed, rates, swing, saturation, tensions against
+//! What is watched while the arm holds or moves, is raised or lowered, beside its encoders: speed, rates, swing, saturation, tensions against
 //! commands, cables against each other and against what the arm does.
 //!
 //! Enters: the estimate, the reference, tensions and lengths of the tick. Leaves: limits that act, faults, and whether the
@@ -48,6 +48,8 @@ pub struct Seen<'a> {
     pub commanded_n: &'a [f64],
     /// Tensions that the drives measure (N); empty for none, NaN where not valid.
     pub measured_n: &'a [f64],
+    /// How long ago they were measured (ticks).
+    pub measured_age_ticks: f64,
     /// Cable lengths as measured (m).
     pub lengths_m: &'a [f64],
     /// Cable lengths of the estimate (m).
@@ -162,7 +164,9 @@ impl Supervision {
                 verdict.answer(s.saturation_answer, Limit::Saturated, fault, faults);
             }
         }
-        if let Some(WrongTension { cable, error_n }) = self.tensions.check(seen.h, seen.commanded_n, seen.measured_n) {
+        if let Some(WrongTension { cable, error_n }) =
+            self.tensions.check(seen.h, seen.commanded_n, seen.measured_n, seen.measured_age_ticks)
+        {
             verdict.answer(s.tension_error_answer, Limit::TensionError, Fault::TensionError { cable, error_n }, faults);
         }
         if let Some(wrong) = self.lengths.check(seen.h, seen.lengths_m, seen.model_m) {
