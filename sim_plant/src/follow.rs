@@ -89,6 +89,20 @@ pub fn scaled(scenario: &ScenarioConfig, s: f64) -> ScenarioConfig {
     scenario
 }
 
+/// The bench of a scenario, whose arm rests where it starts.
+pub(crate) fn started(config: &Config, truth: &TruthSettings, scenario: &ScenarioConfig) -> Result<Bench, String> {
+    let mut settings = Settings::new(config);
+    let (state, tensions) = Course::new(scenario).start(&config.arm).map_err(|error| error.to_string())?;
+    settings.start_tensions_n = tensions.iter().map(|u| u.max(config.arm.tension_n_min)).collect();
+    let arm = Arm::new(&config.arm);
+    let count = 2 * arm.segment_count();
+    let (mut k, mut kd) = (vec![0.0; count], vec![0.0; count]);
+    arm.curvatures_into(&state.q, &state.qd, &mut k, &mut kd);
+    let mut bench = Bench::new(config, &settings, truth);
+    bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).map_err(|error| error.to_string())?;
+    Ok(bench)
+}
+
 /// Runs a scenario with the arm of `config`, whose planner avoids as the scenario says, up to its end or `duration_s`. `trace`
 /// sees the bench, the task's time (s) and the tip's error (m) after each tick.
 ///
@@ -103,15 +117,7 @@ pub fn follow(
 ) -> Result<Followed, String> {
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
-    let mut settings = Settings::new(&config);
-    let (state, tensions) = Course::new(scenario).start(&config.arm).map_err(|error| error.to_string())?;
-    settings.start_tensions_n = tensions.iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-    let arm = Arm::new(&config.arm);
-    let count = 2 * arm.segment_count();
-    let (mut k, mut kd) = (vec![0.0; count], vec![0.0; count]);
-    arm.curvatures_into(&state.q, &state.qd, &mut k, &mut kd);
-    let mut bench = Bench::new(&config, &settings, truth);
-    bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).map_err(|error| error.to_string())?;
+    let mut bench = started(&config, truth, scenario)?;
     for (k, obstacle) in scenario.obstacles.iter().enumerate() {
         let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
         bench.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;
@@ -187,7 +193,7 @@ pub fn follow(
     Ok(shown)
 }
 
-fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
+pub(crate) fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
     match task {
         Task::Tip { path, .. } => {
             let at = |t: f64| {
