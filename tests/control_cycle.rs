@@ -121,6 +121,40 @@ fn a_plan_that_is_not_a_number_becomes_a_fault_with_safe_tensions() {
 }
 
 #[test]
+fn cables_that_are_declared_to_stay_do_so_at_a_fault_and_are_let_go_slowly_by_a_stop() {
+    let mut settings = pretensioned();
+    settings.safe_hold = vec![sinew::config::SafeHold::Hold; 24];
+    settings.safe_hold[7] = sinew::config::SafeHold::Ramp;
+    settings.timing.release_s = 2.0;
+    let mut rig = Rig::told(&settings, told);
+    rig.arm();
+    // Long enough that the tensions of the last moments are these.
+    rig.run(600);
+    rig.valid.remove(11);
+    rig.run(10 + RAMP_TICKS);
+    assert_eq!(rig.cycle.mode(), Mode::Faulted);
+    for _ in 0..200 {
+        rig.step(None);
+        for (cable, u) in rig.cycle.tensions_n().iter().enumerate() {
+            let want = if cable == 7 { 5.0 } else { 40.0 };
+            assert!((u - want).abs() < 0.01, "cable {cable}: {u}");
+        }
+        assert_eq!(rig.last.drives, DrivesCommand::On);
+    }
+    rig.ask(Request::Stop);
+    let mut last = rig.cycle.tensions_n().to_vec();
+    for tick in 1..200 {
+        let now = rig.cycle.tensions_n().to_vec();
+        assert!(now.iter().zip(&last).all(|(now, last)| last - now < 0.2 && now <= last), "tick {tick}");
+        assert!(now[0] > 5.0, "tick {tick}");
+        last = now;
+        rig.step(None);
+    }
+    rig.run(5);
+    assert_eq!(rig.drives.phase, DrivesPhase::Off);
+}
+
+#[test]
 fn a_silent_encoder_is_bridged_then_a_fault_with_a_ramp() {
     let mut rig = holding();
     rig.valid.remove(11);

@@ -220,7 +220,8 @@ fn the_service_unit_gives_what_the_daemon_asks_for() {
     // A hang that is noticed later than the drives notice it is no danger to the arm.
     assert!(seconds("WatchdogSec") > config.drives.sync_timeout_s);
     // Ramp, drives one by one, and the limit at which the daemon gives the ordered stop up by itself.
-    assert!(seconds("TimeoutStopSec") > config.timing.ramp_s + 10.0);
+    let timing = &config.timing;
+    assert!(seconds("TimeoutStopSec") > timing.stop_timeout_s + timing.release_s.max(timing.ramp_s) + 10.0);
     // Exit codes 1 and 2 are for people; 70 and 101, defects, are not among them.
     assert_eq!((value("Restart"), value("RestartPreventExitStatus")), ("on-failure", "1 2"));
 }

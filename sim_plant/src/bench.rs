@@ -7,15 +7,18 @@
 use crate::truth::{Truth, TruthSettings};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::config::{Config, ScenarioConfig};
+use sinew::config::{Config, SafeHold, ScenarioConfig};
 use sinew::control::{CableMask, Record};
 use sinew::control::{
     Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
-    Settings, TargetInput, TickInputs, TickOutput,
+    STAY_LOOKAHEADS, Settings, TargetInput, TickInputs, TickOutput,
 };
 use sinew::estimator::Observer;
 use sinew::model::Arm;
 use sinew::scenario::Course;
+
+/// Emergency code of a drive that trips.
+const OVER_CURRENT: u32 = 0x2310;
 
 /// How a drive differs from what the controller's configuration says of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,6 +43,75 @@ impl Lie {
     }
 }
 
+/// What befalls drives, encoders or the loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Trouble {
+    /// The loop's process is gone: the drives are on their own.
+    Dead,
+    /// The bus of these cables (first and one past the last) is lost: their drives are on their own, and the loop learns of it
+    /// when they do.
+    Bus(usize, usize),
+    /// The drive of this cable trips and gives no torque.
+    Trip(usize),
+    /// The encoder of this cable is silent.
+    Silent(usize),
+    /// The encoder of this cable shows 50 mm more.
+    Jump(usize),
+    /// Every tick comes too late.
+    Late,
+}
+
+/// What drives do without a master, by the configuration.
+struct Alone {
+    hold: Vec<SafeHold>,
+    timeout_s: f64,
+    safe_n: f64,
+    /// Most that a tension changes in a tick (N).
+    step_n: f64,
+    /// Safe tensions of drives that are told them (N), the mean that they follow, its share of a tick, and the ticks between
+    /// two that are told.
+    told_n: Vec<f64>,
+    mean_n: Vec<f64>,
+    share: f64,
+    turn: u64,
+}
+
+impl Alone {
+    fn new(config: &Config) -> Self {
+        let (drives, period_s) = (&config.drives, config.timing.period_s);
+        let cables = config.arm.cable_count();
+        Self {
+            hold: drives.drives.iter().map(|drive| drive.safe_hold).collect(),
+            timeout_s: drives.sync_timeout_s,
+            safe_n: drives.safe_tension_n,
+            step_n: config.arm.tension_n_max * period_s / drives.safe_ramp_s.max(1e-3),
+            told_n: vec![0.0; cables],
+            mean_n: vec![0.0; cables],
+            share: period_s / (STAY_LOOKAHEADS * config.planner.lookahead_s + period_s),
+            turn: (2.0 * drives.read_back_s / period_s).ceil().max(1.0) as u64,
+        }
+    }
+
+    /// A tick with a master that sends `tensions_n`.
+    fn follow(&mut self, tick: u64, tensions_n: &[f64]) {
+        self.mean_n.iter_mut().zip(tensions_n).for_each(|(mean, u)| *mean += self.share * (u - *mean));
+        if tick.is_multiple_of(self.turn) {
+            let cable = (tick / self.turn) as usize % self.told_n.len();
+            self.told_n[cable] = self.mean_n[cable];
+        }
+    }
+
+    /// The tension (N) that follows `u` without a master.
+    fn next(&self, cable: usize, u: f64) -> f64 {
+        let goal = match self.hold[cable] {
+            SafeHold::Hold | SafeHold::Brake => u,
+            SafeHold::Rest => self.told_n[cable],
+            SafeHold::Ramp => self.safe_n,
+        };
+        u + (goal - u).clamp(-self.step_n, self.step_n)
+    }
+}
+
 /// A controller with its arm.
 pub struct Bench {
     /// The controller.
@@ -58,6 +130,10 @@ pub struct Bench {
     pub broken: Option<String>,
     /// Largest change of a tension per second while the planner was at work (N/s).
     pub tension_rate_max_nps: f64,
+    /// What went wrong, and the tick from which on.
+    trouble: Option<(Trouble, u64)>,
+    alone: Alone,
+    mode: Mode,
     /// Whether brakes hold the arm.
     braked: bool,
     start_n: Vec<f64>,
@@ -91,6 +167,9 @@ impl Bench {
             lies: vec![Lie::NONE; cables],
             broken: None,
             tension_rate_max_nps: 0.0,
+            trouble: None,
+            alone: Alone::new(config),
+            mode: Mode::Disarmed,
             braked: true,
             start_n: settings.start_tensions_n.clone(),
             before_m: straight_m.clone(),
@@ -127,29 +206,22 @@ impl Bench {
         self.tick as f64 * self.period_s
     }
 
+    /// Something goes wrong from the next tick on, and stays so.
+    pub fn befall(&mut self, trouble: Trouble) {
+        self.trouble = Some((trouble, self.tick));
+    }
+
     /// One tick, then the arm for a period.
     pub fn step(&mut self, request: Option<Request>) -> TickOutput {
         self.tick += 1;
-        let now_ns = (self.time_s() * 1e9).round() as u64;
-        let cables = self.truth.lengths().len();
         self.show();
-        let inputs = TickInputs {
-            tick: self.tick,
-            now_ns,
-            missed: 0,
-            encoders: EncoderReadings { lengths_m: &self.shown_m, valid: CableMask::first(cables), capture_ns: now_ns },
-            // A drive measures its own current: what it was told, whatever its gear.
-            tensions_measured_n: &self.told_n,
-            obstacles: &self.obstacles,
-            demand: self.demand,
-            target: self.target,
-            drives: DrivesInput { phase: self.drives, ready: true, fault: None, bus_lost: None, emergency_stop: None },
-            request,
+        let trouble = self.trouble.map(|(trouble, _)| trouble);
+        let since_s = self.trouble.map_or(0.0, |(_, tick)| (self.tick - tick) as f64 * self.period_s);
+        let noticed = since_s > self.alone.timeout_s;
+        let output = match trouble {
+            Some(Trouble::Dead) => TickOutput { mode: self.mode, drives: DrivesCommand::On, answer: None },
+            _ => self.think(request, noticed),
         };
-        let output = self.cycle.tick(&inputs, &mut self.rng, &mut || false);
-        self.cycle.report(&inputs);
-        let on = output.drives == DrivesCommand::On;
-        self.drives = if on { DrivesPhase::Enabled } else { DrivesPhase::Off };
         // Brakes hold the arm where it is until the cables have their start tensions.
         self.braked &= self.cycle.tensions_n() != self.start_n;
         if self.braked {
@@ -160,13 +232,77 @@ impl Bench {
             self.tension_rate_max_nps =
                 changes.fold(0.0, f64::max).max(self.tension_rate_max_nps * self.period_s) / self.period_s;
         }
-        self.told_n.copy_from_slice(self.cycle.tensions_n());
+        for cable in 0..self.told_n.len() {
+            let alone = match trouble {
+                Some(Trouble::Dead) => true,
+                Some(Trouble::Bus(first, end)) => (first..end).contains(&cable),
+                _ => false,
+            };
+            self.told_n[cable] = match trouble {
+                Some(Trouble::Trip(tripped)) if tripped == cable => 0.0,
+                _ if alone && noticed => self.alone.next(cable, self.told_n[cable]),
+                _ if alone => self.told_n[cable],
+                _ => self.cycle.tensions_n()[cable],
+            };
+        }
+        if trouble.is_none() {
+            self.alone.follow(self.tick, &self.told_n);
+        }
         let told = self.told_n.iter().zip(&self.lies);
         self.pulled_n.iter_mut().zip(told).for_each(|(pulled, (told, lie))| *pulled = told * lie.pull);
         if let Err(error) = self.truth.step(&self.pulled_n, self.period_s) {
             let time_s = self.time_s();
             self.broken.get_or_insert_with(|| format!("at {time_s:.2} s: {error}"));
         }
+        output
+    }
+
+    /// The loop's tick; `noticed` tells whether what is silent counts as lost.
+    fn think(&mut self, request: Option<Request>, noticed: bool) -> TickOutput {
+        let now_ns = (self.time_s() * 1e9).round() as u64;
+        let trouble = self.trouble.map(|(trouble, _)| trouble);
+        let (mut phase, mut missed) = (self.drives, 0);
+        let (mut fault, mut bus_lost, mut unread) = (None, None, 0..0);
+        match trouble {
+            Some(Trouble::Bus(first, end)) => {
+                unread = first..end;
+                if noticed {
+                    bus_lost = Some(0);
+                    phase = DrivesPhase::Changing;
+                }
+            }
+            Some(Trouble::Trip(cable)) => {
+                fault = Some((cable as u16, OVER_CURRENT));
+                phase = DrivesPhase::Changing;
+            }
+            Some(Trouble::Silent(cable)) => unread = cable..cable + 1,
+            Some(Trouble::Jump(cable)) => self.shown_m[cable] += 0.05,
+            Some(Trouble::Late) => missed = 20,
+            Some(Trouble::Dead) | None => {}
+        }
+        if self.drives == DrivesPhase::Off {
+            phase = DrivesPhase::Off;
+        }
+        let mut valid = CableMask::default();
+        (0..self.shown_m.len()).filter(|cable| !unread.contains(cable)).for_each(|cable| valid.insert(cable));
+        let inputs = TickInputs {
+            tick: self.tick,
+            now_ns,
+            missed,
+            encoders: EncoderReadings { lengths_m: &self.shown_m, valid, capture_ns: now_ns },
+            // A drive measures its own current: what it was told, whatever its gear.
+            tensions_measured_n: &self.told_n,
+            obstacles: &self.obstacles,
+            demand: self.demand,
+            target: self.target,
+            drives: DrivesInput { phase, ready: fault.is_none(), fault, bus_lost, emergency_stop: None },
+            request,
+        };
+        let output = self.cycle.tick(&inputs, &mut self.rng, &mut || false);
+        self.cycle.report(&inputs);
+        let on = output.drives == DrivesCommand::On;
+        self.drives = if on { DrivesPhase::Enabled } else { DrivesPhase::Off };
+        self.mode = output.mode;
         output
     }
 

@@ -182,7 +182,7 @@ pub fn follow(
     Ok(shown)
 }
 
-fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
+pub(crate) fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
     match task {
         Task::Tip { path, .. } => {
             let at = |t: f64| {

@@ -94,9 +94,41 @@ fn ordered_disabling_takes_one_drive_after_the_other(layout: Layout) {
     assert_eq!(seen, [[false, false, false], [false, false, true], [false, true, true], [true, true, true]]);
 }
 
+fn a_drive_that_keeps_its_torque_without_a_master_lets_go_of_it_slowly_before_it_is_reset(layout: Layout) {
+    let mut b = Bench::new(layout, 1, 1, |c| {
+        c.drives[0].writes = ObjectWrite::sinew_guard(30_000, 0, true).to_vec();
+        // 500 per mille in 2 s.
+        c.drives[0].release = ObjectWrite::sinew_release(0, 250).to_vec();
+        c.release_ms = 2100;
+    });
+    b.enable();
+    let mut writer = b.master.take_writer().unwrap();
+    b.cycle(&mut writer, &[500]);
+    for _ in 0..50 {
+        b.now_ns += 10 * MS;
+        b.serve();
+    }
+    assert_eq!((b.drive(0, 0).state(), b.drive(0, 0).torque_permille()), (State::Fault, 500));
+    // A new master begins.
+    b.master.return_writer(writer);
+    b.master.start(b.now_ns);
+    let (began_ns, mut last) = (b.now_ns, 500);
+    while b.drive(0, 0).torque_permille() != 0 {
+        b.step();
+        let torque = b.drive(0, 0).torque_permille();
+        assert!(torque <= last && last - torque < 10, "{last} then {torque}");
+        last = torque;
+        assert!(b.now_ns < began_ns + 3000 * MS, "{torque} left");
+    }
+    assert!(b.now_ns > began_ns + 1800 * MS, "{} ms", (b.now_ns - began_ns) / MS);
+    b.run_until(1000, |p| p.ready == 1);
+    assert_eq!(b.drive(0, 0).state(), State::SwitchOnDisabled);
+}
+
 fn a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched(layout: Layout) {
     for safe in [0, 30] {
-        let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(0, safe).to_vec());
+        let mut b =
+            Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(0, safe, false).to_vec());
         b.enable();
         let mut writer = b.master.take_writer().unwrap();
         b.cycle(&mut writer, &[500]);
@@ -133,7 +165,7 @@ fn a_safe_torque_beyond_the_rated_one_is_taken_and_held_within_the_limit(layout:
     for (safe, held) in [(1500, 1500), (-10_000, -3000)] {
         let mut b = Bench::new(layout, 1, 1, |c| {
             c.drives[0].torque_permille_max = 3000;
-            c.drives[0].writes = ObjectWrite::sinew_guard(30_000, safe).to_vec();
+            c.drives[0].writes = ObjectWrite::sinew_guard(30_000, safe, false).to_vec();
         });
         b.enable();
         let mut writer = b.master.take_writer().unwrap();
@@ -199,7 +231,8 @@ fn a_device_fault_is_reported_and_the_drive_is_not_driven_back(layout: Layout) {
 fn a_device_fault_cuts_the_safe_torque_of_a_communication_fault_too(layout: Layout) {
     // In the reaction, on the slope from 500 to 400 per mille, and when that has ended.
     for ms in [1, 100] {
-        let mut b = Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(30_000, 400).to_vec());
+        let mut b =
+            Bench::new(layout, 1, 1, |c| c.drives[0].writes = ObjectWrite::sinew_guard(30_000, 400, false).to_vec());
         b.enable();
         let mut writer = b.master.take_writer().unwrap();
         b.cycle(&mut writer, &[500]);
@@ -434,7 +467,7 @@ fn ask(d: &mut Drive, request: [u8; 8]) -> [u8; 8] {
 fn a_drive_that_does_not_say_how_long_its_short_answers_are_is_configured_all_the_same() {
     let mut d = Drive::new(node(1), Nameplate::default(), 0);
     let mut drive = DriveSetup::new(0, node(1));
-    drive.writes = ObjectWrite::sinew_guard(30_000, -7).to_vec();
+    drive.writes = ObjectWrite::sinew_guard(30_000, -7, false).to_vec();
     let mut runner = Runner::new(&MasterConfig::new(vec![drive], node(127), 10_000), 0);
     let mut next = runner.start(0);
     let mut unsized_answers = 0;
@@ -498,6 +531,7 @@ with_both_layouts! {
     torque_beyond_the_limit_is_cut_and_reported_by_both_sides
     ordered_disabling_takes_one_drive_after_the_other
     a_lost_master_takes_the_torque_to_the_safe_value_and_the_fault_is_latched
+    a_drive_that_keeps_its_torque_without_a_master_lets_go_of_it_slowly_before_it_is_reset
     a_safe_torque_beyond_the_rated_one_is_taken_and_held_within_the_limit
     a_missing_sync_is_a_fault_within_its_timeout
     quick_stop_brakes_along_the_slope

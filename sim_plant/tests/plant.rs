@@ -103,7 +103,7 @@ impl Controller {
             .map(|n| {
                 let mut drive = DriveSetup::new(0, NodeId::new(n).unwrap());
                 drive.rated_torque_mnm = Some(350);
-                drive.writes = ObjectWrite::sinew_guard(1000 * u32::from(guard_ms), 0).to_vec();
+                drive.writes = ObjectWrite::sinew_guard(1000 * u32::from(guard_ms), 0, false).to_vec();
                 drive
             })
             .collect();

@@ -45,7 +45,7 @@ impl Bench {
     fn adjusted(adjust: impl FnOnce(&mut MasterConfig), wire: &[&str], seed: u64) -> Self {
         let setup = |n: &u8| {
             let mut d = DriveSetup::new(0, node(*n));
-            d.writes = ObjectWrite::sinew_guard(SYNC_TIMEOUT_US, 0).to_vec();
+            d.writes = ObjectWrite::sinew_guard(SYNC_TIMEOUT_US, 0, false).to_vec();
             d
         };
         let mut config = MasterConfig::new(NODES.iter().map(setup).collect(), node(127), 10_000);

@@ -3,7 +3,7 @@
 use super::{Outcome, complain, print_text};
 use clap::Args;
 use comfy_table::Table;
-use sinew::config::Config;
+use sinew::config::{Config, safe_hold_in_words};
 use sinew::control::{Settings, doubts, weights_in_words};
 use sinew::daemon;
 use std::path::{Path, PathBuf};
@@ -42,6 +42,7 @@ impl Check {
         for (key, value) in weights_in_words(&Settings::new(&config)) {
             table.add_row([key, &value]);
         }
+        table.add_row(["drives.defaults.safe_hold", &safe_hold_in_words(&config.drives.drives)]);
         for protection in &config.drives.accept_without {
             table.add_row(["accepted without", protection.name()]);
         }

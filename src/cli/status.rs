@@ -81,7 +81,10 @@ fn text(r: &StatusReport) -> String {
     }
     r.realtime_refused.iter().for_each(|refused| line(format!("degraded: {refused}")));
     let d = &r.drives;
-    line(format!("drives: {} of {} ready, {} enabled", d.ready, d.count, d.enabled));
+    line(format!(
+        "drives: {} of {} ready, {} enabled; without the daemon: {}",
+        d.ready, d.count, d.enabled, r.safe_hold
+    ));
     d.fault.iter().for_each(|fault| line(format!("  {fault}")));
 
     let mut buses = table();

@@ -2,6 +2,7 @@
 
 use super::arm::ArmConfig;
 use super::reader::Section;
+use super::safe_hold::{self, SafeHold};
 use super::schema::{Key, Kind, Length, Range, TableSpec};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -78,6 +79,8 @@ pub struct DriveConfig {
     pub vendor_id: Option<u32>,
     /// Product code that it must show (1018:02); `None` for any.
     pub product_code: Option<u32>,
+    /// What it does by itself when its master is silent.
+    pub safe_hold: SafeHold,
 }
 
 /// Vendor and product code of sinew's simulated drive, whose guard of SYNC is objects 2000:01 and 2000:02.
@@ -148,7 +151,7 @@ pub struct DrivesConfig {
     pub sdo_timeout_s: f64,
     /// Time granted to a drive from its reset to its boot-up (s).
     pub boot_timeout_s: f64,
-    /// Cable tension that a drive holds when its master is dead (N).
+    /// Cable tension to which a drive whose `safe_hold` is `ramp` goes when its master is dead (N).
     pub safe_tension_n: f64,
     /// Time in which a drive ramps to it (s).
     pub safe_ramp_s: f64,
@@ -189,7 +192,7 @@ pub static DRIVES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.002, 10.0)),
             "s",
             "0.1",
-            "Time without SYNC (guard 2000:01), or without torques (event timer 1400:05 of the RPDO, in whole milliseconds, rounded up), after which a drive goes to its safe tension; at least two periods of the loop.",
+            "Time without SYNC (guard 2000:01), or without torques (event timer 1400:05 of the RPDO, in whole milliseconds, rounded up), after which a drive does what its `safe_hold` says; at least two periods of the loop.",
         ),
         Key::default(
             "sdo_timeout_s",
@@ -210,14 +213,14 @@ pub static DRIVES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.0, 1e5)),
             "N",
             "0.0",
-            "Cable tension that a drive holds when its master is dead; inside the arm's tension box.",
+            "Cable tension to which a drive with `safe_hold = \"ramp\"` goes when its master is dead; at most the arm's `tension_n_max`.",
         ),
         Key::default(
             "safe_ramp_s",
             Kind::Float(Range::closed(0.0, 60.0)),
             "s",
             "0.2",
-            "Time in which a drive ramps to it.",
+            "Time in which such a drive goes there from the largest tension.",
         ),
         Key::optional(
             "master_node_id",
@@ -366,7 +369,7 @@ static DEFAULTS: TableSpec = TableSpec {
     header: "[drives.defaults]",
     name: "defaults",
     about: "What the drives have in common.",
-    keys: &[DRUM, GEAR, SIGN, RATED, COUNTS, LIMIT, VENDOR, PRODUCT],
+    keys: &[DRUM, GEAR, SIGN, RATED, COUNTS, LIMIT, VENDOR, PRODUCT, safe_hold::KEY],
 };
 
 static OVERRIDE: TableSpec = TableSpec {
@@ -392,6 +395,7 @@ static OVERRIDE: TableSpec = TableSpec {
         LIMIT,
         VENDOR,
         PRODUCT,
+        safe_hold::KEY,
     ],
 };
 
@@ -507,6 +511,7 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
         let drive = drive(section, segment, cable, bus, node);
         let own = arm.segments.get(segment.wrapping_sub(1)).map_or(arm.tension_n_max, |s| arm.segment_tension_n_max(s));
         check_torque(section, own, &drive);
+        safe_hold::check(section, &drive);
         drives.push(drive);
     }
     check_layouts(&bus_tables, &buses, &drives);
@@ -623,6 +628,7 @@ fn drive(section: &Section<'_>, segment: usize, cable: usize, bus: usize, node: 
         torque_nm_max: section.float("torque_nm_max"),
         vendor_id: section.integer_opt("vendor_id").and_then(|id| u32::try_from(id).ok()),
         product_code: section.integer_opt("product_code").and_then(|code| u32::try_from(code).ok()),
+        safe_hold: safe_hold::read(section),
     }
 }
 

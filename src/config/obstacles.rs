@@ -28,6 +28,8 @@ pub struct ObstaclePolicyConfig {
     pub require_source: bool,
     /// Sources that must be there for motion, at most eight.
     pub required: Vec<u32>,
+    /// True if the arm may be armed while obstacles are not known.
+    pub arm_unknown: bool,
 }
 
 /// What the arm does when nobody knows any more where obstacles are.
@@ -112,6 +114,14 @@ pub static OBSTACLES: TableSpec = TableSpec {
             "[]",
             "Source ids that must be there for motion: absent, refused or crowded out, the arm holds. Their places are kept.",
         ),
+        Key::default(
+            "arm_unknown",
+            Kind::Bool,
+            "",
+            "false",
+            "Arm although obstacles are not known: no client publishes (`require_source`), or one of `required` is absent. The \
+             way to the start posture is then taken without them.",
+        ),
     ],
 };
 
@@ -131,6 +141,7 @@ pub(super) fn read(table: &Section<'_>, scale: &Scale) -> ObstaclePolicyConfig {
         growth_m_max: table.float_opt("growth_m_max").unwrap_or(GROWTH_MAX * scale.length_m),
         lost: if table.choice("lost") == "stop" { LostAction::Stop } else { LostAction::Hold },
         require_source: table.boolean("require_source"),
+        arm_unknown: table.boolean("arm_unknown"),
         required: table.integers("required").into_iter().filter_map(|id| u32::try_from(id).ok()).collect(),
     };
     if config.hold_after_s < config.stale_after_s {

@@ -25,6 +25,8 @@ pub struct LoopConfig {
     pub overruns_hold: u32,
     /// After that, time in which the tensions are ramped to their least value (s).
     pub ramp_s: f64,
+    /// Time in which held cables are let go after a fault (s).
+    pub release_s: f64,
     /// Time given to the arm to be lowered when the daemon is told to end (s).
     pub stop_timeout_s: f64,
     /// Missed deadlines, as far as not forgotten, at which the supervisor faults; more than `overruns_hold`.
@@ -94,6 +96,14 @@ pub static LOOP: TableSpec = TableSpec {
              in a row were in time. Also the ramp of a stop and of a fault.",
         ),
         Key::default(
+            "release_s",
+            Kind::Float(Range::above(0.0, 600.0)),
+            "s",
+            "20.0",
+            "Time in which a stop after a fault lets go of cables that are held (`drives.defaults.safe_hold`) where the arm can no \
+             longer be lowered: slowly, and not around obstacles.",
+        ),
+        Key::default(
             "stop_timeout_s",
             Kind::Float(Range::closed(0.0, 3600.0)),
             "s",
@@ -152,6 +162,7 @@ pub(super) fn read(table: &Section<'_>, scale: &Scale, lookahead_s: f64) -> Loop
         require_realtime: table.boolean("require_realtime"),
         overruns_hold: table.count_opt("overruns_hold").unwrap_or_else(|| periods(HOLD_S).clamp(2, 1000)) as u32,
         ramp_s: table.float("ramp_s"),
+        release_s: table.float("release_s"),
         stop_timeout_s: table.float("stop_timeout_s"),
         overruns_fault: table.count_opt("overruns_fault").unwrap_or_else(|| periods(FAULT_S).clamp(10, 10_000)) as u32,
         reserve_s: table.float("reserve_s"),

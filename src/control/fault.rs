@@ -150,6 +150,9 @@ impl Fault {
     /// [`Fault::EmergencyStop`] of the operator's socket.
     pub const SERVICE: u16 = u16::MAX;
 
+    /// [`Fault::DriveFault`]'s cause where another node has written to the drive.
+    pub const CHANGED: u32 = 10;
+
     /// One of each, for documents and tests; the data stand for any.
     pub const EXAMPLES: [Self; 25] = [
         Self::DriveFault { cable: 0, cause: 0 },
@@ -305,6 +308,22 @@ impl Fault {
                 "choose a pose that needs less tension, or look for a load or a contact, then `clear`"
             }
         }
+    }
+
+    /// Whether the arm may stay as it is at this fault, held by the tensions that it had, until somebody stops it. It may not
+    /// where a drive pulls what nobody told it to, where somebody else commands the drives, where a person presses a
+    /// button, and where nothing is held yet.
+    pub const fn permits_holding(&self) -> bool {
+        match self {
+            Self::TensionError { .. } | Self::EmergencyStop { .. } | Self::DrivesNotUp { .. } => false,
+            Self::DriveFault { cause, .. } => *cause != Self::CHANGED,
+            _ => true,
+        }
+    }
+
+    /// Whether the loop itself is sound, so that a stop may lower the arm after this fault.
+    pub const fn permits_lowering(&self) -> bool {
+        matches!(self, Self::TargetNotFinite | Self::Overruns { .. } | Self::Saturated { .. })
     }
 
     /// Whether the estimate can no longer be believed, so that it is not continued after this fault.

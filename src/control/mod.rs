@@ -39,7 +39,7 @@ pub mod target;
 
 pub use budget::{Budget, Phase, StopWatch};
 pub use causes::{doubts, likely_cause};
-pub use cycle::{Cycle, Plan, TickInputs, TickOutput};
+pub use cycle::{Cycle, Plan, STAY_LOOKAHEADS, TickInputs, TickOutput};
 pub use estimator::{Estimate, Estimator, EstimatorFailure};
 pub use event::{Event, EventKind, EventRing};
 pub use fault::{Fault, FaultLatch, FaultList, Latched, Limit, Limits};

@@ -2,7 +2,7 @@
 
 use crate::config::{
     ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig,
-    SupervisionConfig, WeightsConfig,
+    SafeHold, SupervisionConfig, WeightsConfig,
 };
 
 /// Settings of a [`super::Cycle`], checked where they were read.
@@ -26,6 +26,10 @@ pub struct Settings {
     pub governor: GovernorConfig,
     /// What motion, tensions and cables are watched for.
     pub supervision: SupervisionConfig,
+    /// What becomes of each cable at a fault that permits to hold.
+    pub safe_hold: Vec<SafeHold>,
+    /// Whether the arm may be armed while obstacles are not known.
+    pub arm_unknown: bool,
     /// Tensions (N), one per cable, to which arming brings the cables and under which the observer settles; the safe
     /// values unless a task must start from another equilibrium.
     pub start_tensions_n: Vec<f64>,
@@ -50,10 +54,11 @@ impl Settings {
             config.guard.clone(),
             config.supervision,
         );
-        Self { friction: config.friction.clone(), ..parts }
+        let safe_hold = config.drives.drives.iter().map(|drive| drive.safe_hold).collect();
+        Self { friction: config.friction.clone(), safe_hold, arm_unknown: config.obstacles.arm_unknown, ..parts }
     }
 
-    /// From the parts that matter; start, home and friction (none) have their defaults.
+    /// From the parts that matter; start, home, friction (none) and cables at a fault (hold) have their defaults.
     pub fn from_parts(
         arm: ArmConfig,
         timing: LoopConfig,
@@ -65,6 +70,8 @@ impl Settings {
         supervision: SupervisionConfig,
     ) -> Self {
         Self {
+            safe_hold: vec![SafeHold::Hold; arm.cable_count()],
+            arm_unknown: false,
             start_tensions_n: vec![arm.tension_n_min; arm.cable_count()],
             home_curvatures_1pm: vec![0.0; 2 * arm.segments.len()],
             home_tolerance_rad: 0.0325,

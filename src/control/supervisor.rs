@@ -6,19 +6,23 @@
 //!
 //! | mode \ request | arm | disarm | hold | track | home | stop | clear |
 //! |---|---|---|---|---|---|---|---|
-//! | Disarmed | -> Starting, or `DrivesNotReady`, `EmergencyStop`, `NotAtRest` | ok | `Disarmed` | `Disarmed` | `Disarmed` | ok | `NothingLatched` |
+//! | Disarmed | -> Starting, or `DrivesNotReady`, `EmergencyStop`, `NotAtRest`, `ObstaclesExpired` | ok | `Disarmed` | `Disarmed` | `Disarmed` | ok | `NothingLatched` |
 //! | Starting | ok | -> Stopping (no ramp) | ok | `NotSettled` | `NotSettled` | -> Stopping | `NothingLatched` |
 //! | Holding | ok | -> Stopping (no ramp) | ok | -> Tracking, or `NoTarget`, `ObstaclesExpired` | -> Homing, or `ObstaclesExpired` | -> Stopping | `NothingLatched` |
 //! | Tracking | ok | -> Stopping (no ramp) | -> Holding | ok | -> Homing, or `ObstaclesExpired` | -> Stopping | `NothingLatched` |
 //! | Homing | ok | -> Stopping (no ramp) | -> Holding | -> Tracking, or `NoTarget`, `ObstaclesExpired` | ok | -> Stopping | `NothingLatched` |
 //! | Stopping | `Stopping` | ok, skips the ramp | `Stopping` | `Stopping` | `Stopping` | ok | `NothingLatched` |
-//! | Faulted | `Faulted` | ok, skips the ramp | `Faulted` | `Faulted` | `Faulted` | ok | -> Disarmed, or `StillRamping`, `CausePersists` |
+//! | Faulted | `Faulted` | ok, skips the ramp | `Faulted` | `Faulted` | `Faulted` | ok, lets go of what is held | -> Disarmed, or `StillHeld`, `StillRamping`, `CausePersists` |
 //!
 //! # What happens by itself
 //!
 //! | mode | event | then |
 //! |---|---|---|
-//! | every one but Disarmed and Faulted | a fault | -> Faulted: ramp to the safe tension, then drives off; latched |
+//! | every one but Disarmed and Faulted | a fault that permits it ([`Fault::permits_holding`]), and cables that are declared to stay | -> Faulted: the cables are held until a stop; latched |
+//! | every one but Disarmed and Faulted | any other fault | -> Faulted: ramp to the safe tension, then drives off; latched |
+//! | Faulted, held | a fault that does not permit it | ramp to the safe tension, then drives off |
+//! | Faulted, held, then a stop | the loop is sound ([`Fault::permits_lowering`]) | as Stopping |
+//! | Faulted, held, then a stop | it is not | slow ramp to the safe tension, then drives off |
 //! | Starting | drives up, tensions reached, encoders heard, observer settled, start posture reached | -> Holding |
 //! | Starting | `settle_timeout_s` is over before it moves | fault `DrivesNotUp`, `EncoderSilent` or `NotSettled`, by what is missing |
 //! | Tracking | target absent or too old (`TargetStale`), obstacles expired (`ObstaclesExpired`) | -> Holding |
@@ -56,7 +60,7 @@ pub enum Mode {
     Homing,
     /// The arm is lowered to where it rests without torque, tensions are ramped to the safe value, then drives disabled.
     Stopping,
-    /// The same, after a fault; latched.
+    /// After a fault: held as it is, or as Stopping; latched.
     Faulted,
 }
 
@@ -118,6 +122,8 @@ pub enum Refusal {
     Faulted,
     /// The tensions are still on their way to the safe value, or the drives not yet off.
     StillRamping,
+    /// The arm is still held after a fault: `stop` first.
+    StillHeld,
     /// The cause of the fault persists.
     CausePersists,
     /// No fault is latched.
@@ -257,6 +263,10 @@ pub enum Action {
     Keep,
     /// Ramp to the safe tension.
     Ramp,
+    /// After a fault: each cable as it is declared to stay.
+    Stay,
+    /// Slow ramp to the safe tension.
+    Release,
 }
 
 impl Action {
@@ -286,6 +296,13 @@ pub struct Supervisor {
     entered_ns: u64,
     /// Stopping, Faulted: the tensions are still to be ramped down.
     ramping: bool,
+    /// Faulted: the cables are held.
+    held: bool,
+    /// Faulted: what was held is let go slowly.
+    slowly: bool,
+    /// Cables are declared to stay at a fault.
+    stays: bool,
+    arms_unknown: bool,
     /// Starting, Stopping: on the way to the start posture, to the rest posture.
     under_way: bool,
     /// A stop lowers the arm, and is over when it rests.
@@ -300,12 +317,17 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// Disarmed.
-    pub fn new(timing: &LoopConfig, observer: &ObserverConfig) -> Self {
+    /// Disarmed; `stays` where cables are declared to stay as they are at a fault, `arms_unknown` where the arm may be armed
+    /// while obstacles are not known.
+    pub fn new(timing: &LoopConfig, observer: &ObserverConfig, stays: bool, arms_unknown: bool) -> Self {
         Self {
             mode: Mode::Disarmed,
             entered_ns: 0,
             ramping: false,
+            held: false,
+            slowly: false,
+            stays,
+            arms_unknown,
             under_way: false,
             lowers: timing.stop_timeout_s > 0.0,
             overruns: Overruns::new(timing),
@@ -325,6 +347,11 @@ impl Supervisor {
     /// Whether the planner runs: in modes that plan, and on the way to the start and the rest posture.
     pub const fn is_planning(&self) -> bool {
         self.mode.is_planning() || self.under_way
+    }
+
+    /// Whether the arm is held after a fault.
+    pub const fn is_held(&self) -> bool {
+        self.held
     }
 
     /// What is latched.
@@ -376,9 +403,15 @@ impl Supervisor {
         if self.latch.raise(fault, tick, now_ns) {
             self.events.push(Event { tick, now_ns, kind: EventKind::Fault(fault) });
         }
+        let (on, stays) = (drives != DrivesPhase::Off, self.stays && fault.permits_holding());
         if self.mode != Mode::Faulted {
-            self.ramping = drives != DrivesPhase::Off;
+            (self.held, self.ramping, self.slowly) = (on && stays, on && !stays, false);
             self.change(Mode::Faulted, Cause::Fault(fault), tick, now_ns);
+        } else if self.held && !stays {
+            (self.held, self.ramping, self.slowly) = (false, on, false);
+        } else if self.under_way {
+            // On the way down after a fault: the loop is not sound any more.
+            (self.under_way, self.held, self.ramping) = (false, on && stays, on && !stays);
         }
     }
 
@@ -467,12 +500,18 @@ impl Supervisor {
                 if seen.moves {
                     return Err(Refusal::NotAtRest);
                 }
+                if !self.arms_unknown {
+                    obstacles?;
+                }
                 Mode::Starting
             }
             (Mode::Disarmed, Request::Disarm | Request::Stop) => return Ok(()),
             (Mode::Disarmed, Request::Hold | Request::Track | Request::Home) => return Err(Refusal::Disarmed),
 
             (Mode::Faulted, Request::Clear) => {
+                if self.held || self.under_way {
+                    return Err(Refusal::StillHeld);
+                }
                 if self.ramping || seen.drives.phase != DrivesPhase::Off {
                     return Err(Refusal::StillRamping);
                 }
@@ -486,7 +525,13 @@ impl Supervisor {
                 Mode::Disarmed
             }
             (Mode::Faulted | Mode::Stopping, Request::Disarm) => {
-                (self.ramping, self.under_way) = (false, false);
+                (self.ramping, self.under_way, self.held) = (false, false, false);
+                return Ok(());
+            }
+            (Mode::Faulted, Request::Stop) if self.held => {
+                let sound = self.latch.first.is_some_and(|latched| latched.fault.permits_lowering());
+                self.under_way = sound && self.lowers && seen.drives.phase == DrivesPhase::Enabled;
+                (self.held, self.ramping, self.slowly) = (false, true, !self.under_way);
                 return Ok(());
             }
             (Mode::Faulted | Mode::Stopping, Request::Stop) => return Ok(()),
@@ -540,7 +585,11 @@ impl Supervisor {
             Mode::Tracking if !seen.target_fresh => self.go(Mode::Holding, Cause::Limit(Limit::TargetStale), seen),
             Mode::Homing if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
             Mode::Homing if seen.at_home => self.go(Mode::Holding, Cause::Done, seen),
-            Mode::Stopping if self.under_way => self.under_way = !seen.lowered,
+            Mode::Stopping | Mode::Faulted if self.under_way => self.under_way = !seen.lowered,
+            // A drive that is not heard may hold by itself, and is told the same when it hears again.
+            Mode::Faulted if self.held => {
+                self.held = seen.drives.phase != DrivesPhase::Off || seen.drives.bus_lost.is_some();
+            }
             Mode::Stopping | Mode::Faulted => {
                 // Without torque there is nothing left to ramp.
                 if seen.at_safe_tension || seen.drives.phase == DrivesPhase::Off {
@@ -560,7 +609,9 @@ impl Supervisor {
             Mode::Disarmed => return (Action::Off, None),
             Mode::Starting if !self.under_way => return (Action::Tighten, None),
             Mode::Starting => Action::Raise,
-            Mode::Stopping if self.under_way => Action::Lower,
+            Mode::Stopping | Mode::Faulted if self.under_way => Action::Lower,
+            Mode::Faulted if self.held => return (Action::Stay, None),
+            Mode::Faulted if self.ramping && self.slowly => return (Action::Release, None),
             Mode::Stopping | Mode::Faulted => return (if self.ramping { Action::Ramp } else { Action::Off }, None),
             Mode::Holding => Action::Hold,
             Mode::Tracking => Action::Track,

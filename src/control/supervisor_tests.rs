@@ -12,7 +12,7 @@ const OFF: DrivesInput =
 fn supervisor() -> Supervisor {
     let config = crate::config::Config::builtin();
     let timing = LoopConfig { overruns_fault: 5, ..config.timing };
-    Supervisor::new(&timing, &config.observer)
+    Supervisor::new(&timing, &config.observer, false, false)
 }
 
 /// Everything as it should be while the arm is under power.
@@ -472,4 +472,75 @@ fn what_happened_can_be_read_from_the_events() {
         "a fault that goes on is one event"
     );
     assert_eq!(s.latch().count, 2);
+}
+
+/// A supervisor of cables that stay, in a hold that a fault has ended.
+fn held(fault: Fault) -> Supervisor {
+    let config = crate::config::Config::builtin();
+    let mut s = Supervisor::new(&config.timing, &config.observer, true, false);
+    s.step(&Observed { request: Some(Request::Arm), drives: OFF, ..well() });
+    s.step(&well());
+    assert_eq!(s.mode(), Mode::Holding);
+    s.step(&with(fault));
+    assert_eq!(s.mode(), Mode::Faulted);
+    s
+}
+
+#[test]
+fn a_fault_that_permits_it_leaves_the_arm_held_until_a_stop() {
+    let mut s = held(SILENT);
+    for _ in 0..3 {
+        let decision = s.step(&Observed { at_safe_tension: true, ..well() });
+        assert_eq!((decision.action, decision.drives), (Action::Stay, DrivesCommand::On));
+    }
+    let clear = s.step(&Observed { request: Some(Request::Clear), ..well() });
+    assert_eq!(clear.answer.unwrap().refusal, Some(Refusal::StillHeld));
+    // The estimate is not to be believed, so nothing is lowered: it is let go, slowly.
+    let decision = s.step(&Observed { request: Some(Request::Stop), ..well() });
+    assert_eq!((decision.action, decision.answer.unwrap().refusal), (Action::Release, None));
+    assert_eq!(s.step(&Observed { at_safe_tension: true, ..well() }).action, Action::Off);
+    s.step(&Observed { drives: OFF, ..well() });
+    s.step(&Observed { request: Some(Request::Clear), drives: OFF, ..well() });
+    assert_eq!(s.mode(), Mode::Disarmed);
+}
+
+#[test]
+fn an_arm_that_is_held_by_a_sound_loop_is_lowered_and_one_whose_loop_fails_on_the_way_is_held_again() {
+    let mut s = held(Fault::TargetNotFinite);
+    let stop = Observed { request: Some(Request::Stop), lowered: false, ..well() };
+    assert_eq!(s.step(&stop).action, Action::Lower);
+    assert_eq!(s.step(&Observed { lowered: false, ..with(SILENT) }).action, Action::Stay);
+    assert_eq!(s.latch().first.unwrap().fault, Fault::TargetNotFinite, "the first cause stays");
+    assert_eq!(s.step(&stop).action, Action::Lower);
+    s.step(&well());
+    assert_eq!(s.step(&well()).action, Action::Ramp);
+    assert_eq!(s.mode(), Mode::Faulted);
+}
+
+#[test]
+fn what_does_not_permit_a_hold_ends_it() {
+    let wrong = Fault::TensionError { cable: 1, error_n: 90.0 };
+    assert_eq!(held(wrong).step(&well()).action, Action::Ramp);
+    let mut s = held(SILENT);
+    assert_eq!(s.step(&well()).action, Action::Stay);
+    assert_eq!(s.step(&with(wrong)).action, Action::Ramp);
+    let mut s = held(SILENT);
+    assert_eq!(s.step(&Observed { request: Some(Request::Disarm), ..well() }).action, Action::Off);
+    // A bus that is lost: its drives hold by themselves, and when they are heard again they are told the same.
+    let lost = DrivesInput { bus_lost: Some(0), ..OFF };
+    let mut s = held(SILENT);
+    assert_eq!(s.step(&Observed { drives: lost, ..well() }).action, Action::Stay);
+    assert_eq!(s.step(&well()).action, Action::Stay);
+    s.step(&Observed { drives: OFF, ..well() });
+    assert_eq!(s.step(&Observed { drives: OFF, ..well() }).action, Action::Off);
+}
+
+#[test]
+fn arming_needs_known_obstacles_or_a_word_that_it_does_not() {
+    let config = crate::config::Config::builtin();
+    for (unknown, refusal) in [(false, Some(Refusal::ObstaclesExpired)), (true, None)] {
+        let mut s = Supervisor::new(&config.timing, &config.observer, true, unknown);
+        let arm = Observed { request: Some(Request::Arm), drives: OFF, obstacles: HOLD, ..well() };
+        assert_eq!(s.step(&arm).answer.unwrap().refusal, refusal);
+    }
 }

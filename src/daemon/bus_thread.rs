@@ -463,7 +463,8 @@ impl BusThread {
             // What was changed from outside is set anew.
             let changed = self.memory.iter().any(|m| m.sticky == Some(CHANGED));
             self.memory.iter_mut().for_each(|m| (m.sticky, m.emergency) = (None, None));
-            if unusable || changed || self.memory.iter().any(|m| m.lost) {
+            // A drive that keeps its torque in fault is let go of slowly, which a start does.
+            if unusable || changed || self.master.may_hold() || self.memory.iter().any(|m| m.lost) {
                 self.master.start(now_ns);
             } else {
                 self.master.reset_faults(now_ns);

@@ -24,8 +24,8 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, Sender};
 use std::time::Duration;
 
-/// Longest that the ordered stop may take beyond its ramp (s); then the thread ends as it is, and the drives' guards
-/// take over.
+/// Longest that the ordered stop may take beyond the time for its way and for its ramp (s); then the thread ends as it is,
+/// and the drives' guards take over.
 const STOP_S: f64 = 10.0;
 
 /// What the thread is made from; everything large is made on it, so that its memory is local.
@@ -131,7 +131,9 @@ struct Stopping {
 
 impl Stopping {
     fn new(config: &Config) -> Self {
-        Self { since_ns: None, longest_ns: (1e9 * (config.timing.ramp_s + STOP_S)) as u64 }
+        let timing = &config.timing;
+        let longest_s = timing.stop_timeout_s + timing.ramp_s.max(timing.release_s) + STOP_S;
+        Self { since_ns: None, longest_ns: (1e9 * longest_s) as u64 }
     }
 
     fn is_over(&mut self, stop: bool, last: Option<&Ticked>) -> bool {

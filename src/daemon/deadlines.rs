@@ -142,7 +142,7 @@ mod tests {
         let config = Config::builtin();
         let (hold, fault) = overruns.unwrap_or((config.timing.overruns_hold, config.timing.overruns_fault));
         let timing = LoopConfig { overruns_hold: hold, overruns_fault: fault, ..config.timing };
-        let mut supervisor = Supervisor::new(&timing, &config.observer);
+        let mut supervisor = Supervisor::new(&timing, &config.observer, false, false);
         let seen = |missed, request| Observed {
             tick: 0,
             now_ns: 0,

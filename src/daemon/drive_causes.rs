@@ -38,7 +38,7 @@ const NO_TRANSITION: u32 = 6;
 pub(super) const NO_FEEDBACK: u32 = 7;
 const LEFT_OPERATION: u32 = 8;
 pub(super) const NODE_ID_TAKEN: u32 = 9;
-pub(super) const CHANGED: u32 = 10;
+pub(super) const CHANGED: u32 = crate::control::Fault::CHANGED;
 
 pub(super) fn cause_of(fault: &Fault) -> u32 {
     match fault {

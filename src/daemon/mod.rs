@@ -59,7 +59,7 @@ pub use statistics::{Percentiles, Stages};
 pub use threads::ThreadReport;
 pub use tick::{AutoRequests, FIRST_SYNC, SPEED, limits};
 
-use crate::config::Config;
+use crate::config::{Config, safe_hold_in_words};
 use crate::control::Settings;
 use crate::ipc::{
     ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
@@ -212,6 +212,7 @@ impl Daemon {
             period_s: config.timing.period_s,
             buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
             required: config.obstacles.required.clone(),
+            safe_hold: safe_hold_in_words(&config.drives.drives),
         }));
         let progress = Arc::new(Progress::default());
         let mut daemon = {

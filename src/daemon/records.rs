@@ -48,6 +48,7 @@ pub fn refusal_reason(refusal: Refusal) -> (RefusalReason, u32) {
         Refusal::StillRamping => (RefusalReason::WrongState, 3),
         Refusal::NothingLatched => (RefusalReason::WrongState, 4),
         Refusal::NotAtRest => (RefusalReason::WrongState, 5),
+        Refusal::StillHeld => (RefusalReason::WrongState, 6),
         Refusal::DrivesNotReady => (RefusalReason::DrivesNotReady, 0),
         Refusal::EmergencyStop => (RefusalReason::DrivesNotReady, 1),
         Refusal::NotSettled => (RefusalReason::NotSettled, 0),
@@ -63,6 +64,9 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
     match (reason, detail) {
         (RefusalReason::WrongState, 1) => "the arm is disarmed: `sinew arm` first",
         (RefusalReason::WrongState, 2) => "the arm is stopping: wait until it is disarmed",
+        (RefusalReason::WrongState, 6) => {
+            "the cables still hold the arm after the fault: `sinew stop` lets it down, then `sinew clear`"
+        }
         (RefusalReason::WrongState, 5) => "the arm moves: wait until it rests",
         (RefusalReason::WrongState, 3) => {
             "the tensions are still on their way to the safe value: try again in a moment"
@@ -80,7 +84,8 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
         }
         (RefusalReason::ObstaclesExpired, _) => {
             "obstacles are unknown or too old: start the perception client (an empty set says that nothing is there), \
-             `sinew clear` one that is gone for good, or set `obstacles.require_source = false`"
+             `sinew clear` one that is gone for good, or set `obstacles.require_source = false` (to arm without: \
+             `obstacles.arm_unknown = true`)"
         }
         (reason, _) => reason.text(),
     }
@@ -324,6 +329,7 @@ mod tests {
             Refusal::Disarmed,
             Refusal::Stopping,
             Refusal::StillRamping,
+            Refusal::StillHeld,
             Refusal::NothingLatched,
             Refusal::DrivesNotReady,
             Refusal::EmergencyStop,

@@ -1,7 +1,8 @@
 //! From the configuration to what the wires need: buses, master, motor bank, and the load that the traffic will be.
 
 use super::error::DaemonError;
-use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig, Protection};
+use crate::config::{BusConfig, BusKind, BusLayout, Config, DriveConfig, Protection, SafeHold};
+use crate::control::STAY_LOOKAHEADS;
 use crate::model::Arm;
 use sinew_hal::bus_config::{self, BusSpec};
 use sinew_hal::can::CanBus;
@@ -135,7 +136,14 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
             optional: may_lack(Protection::TorqueSlope),
         };
         // Objects of a vendor mean something else on another's drive.
-        let guard = drive.is_simulated().then(|| ObjectWrite::sinew_guard(sync_timeout_us, safe));
+        let keeps = drive.safe_hold == SafeHold::Hold;
+        let guard = drive.is_simulated().then(|| ObjectWrite::sinew_guard(sync_timeout_us, safe, keeps));
+        setup.abort_connection = drive.safe_hold.abort_connection(drive.is_simulated());
+        if drive.is_simulated() && drive.safe_hold.stays() {
+            let slowly = (f64::from(limit) / config.timing.release_s).round().max(1.0) as u32;
+            setup.release = ObjectWrite::sinew_release(0, slowly).to_vec();
+        }
+        setup.safe_torque_follows = drive.safe_hold == SafeHold::Rest;
         setup.writes = guard.into_iter().flatten().chain([slope]).collect();
         setups.push(setup);
     }
@@ -143,6 +151,9 @@ pub fn master_config(config: &Config) -> Result<MasterConfig, DaemonError> {
     let own = drives.master_node_id.or_else(|| (1..=127).rev().find(free));
     let own = own.and_then(|id| NodeId::new(id).ok()).ok_or(DaemonError::NoNodeLeft)?;
     let mut master = MasterConfig::new(setups, own, microseconds(config.timing.period_s));
+    // From the largest torque to none, and a little more.
+    master.release_ms = (1e3 * config.timing.release_s).round() as u32 + 100;
+    master.mean_time_us = microseconds(STAY_LOOKAHEADS * config.planner.lookahead_s);
     master.layouts = drives.buses.iter().map(|bus| layout(bus.layout)).collect();
     // Torques come with every SYNC, and may be missing as long as it. Rounded up: the event timer counts milliseconds.
     master.read_back_us = microseconds(config.drives.read_back_s);

@@ -154,6 +154,9 @@ pub struct StatusReport {
     pub buses: Vec<BusReport>,
     /// Drives.
     pub drives: DriveStatus,
+    /// What drives do by themselves when the daemon is silent, and the loop with their cables at a fault (`safe_hold`).
+    #[serde(default)]
+    pub safe_hold: String,
     /// Encoders.
     pub encoders: SourceStatus,
     /// Target.
@@ -179,6 +182,8 @@ pub(crate) struct Fixed {
     pub(crate) buses: Vec<(String, f64, f64)>,
     /// Obstacle sources that must be there.
     pub(crate) required: Vec<u32>,
+    /// What becomes of the cables without a master.
+    pub(crate) safe_hold: String,
 }
 
 /// What is set now and then.
@@ -350,6 +355,7 @@ impl Shared {
             realtime_refused: inner.realtime_refused.clone(),
             buses: fixed.buses.iter().enumerate().map(bus).collect(),
             drives: inner.drives.clone(),
+            safe_hold: fixed.safe_hold.clone(),
             encoders: source_status(&state.encoder_report),
             target: source_status(&state.target_report),
             obstacles: state.obstacle_sources.iter().filter(used).map(source_status).collect(),

@@ -9,8 +9,8 @@ use super::statistics::Branch;
 use super::watch::Watch;
 use crate::config::{Config, LostAction, WarningBranch};
 use crate::control::{
-    Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand, ObstaclePair,
-    Refusal, Request, Target, TargetInput, TickInputs, Timing,
+    Budget, CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand,
+    ObstaclePair, Refusal, Request, Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, RequestKind, SourceHealth, State, TargetMode};
@@ -136,6 +136,7 @@ pub(crate) struct Controller<E> {
     time: LoopTime,
     limits: IoLimits,
     require_source: bool,
+    arm_unknown: bool,
     stop_if_lost: bool,
     lookahead_s: f64,
     period_ns: u64,
@@ -189,6 +190,7 @@ impl<E: Estimator> Controller<E> {
             speed_told: 1.0,
             limits: limits(config, time_is_lockstep),
             require_source: config.obstacles.require_source,
+            arm_unknown: config.obstacles.arm_unknown,
             stop_if_lost: config.obstacles.lost == LostAction::Stop,
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
@@ -348,15 +350,20 @@ impl<E: Estimator> Controller<E> {
         if stop {
             let since_ns = *self.stopping_since_ns.get_or_insert(now_ns);
             let moving = !matches!(mode, Mode::Disarmed | Mode::Stopping | Mode::Faulted);
-            if moving {
+            if moving || self.cycle.supervisor().is_held() {
                 return (Some(Request::Stop), None);
             }
             // Nobody may be there to decide what a way that stays blocked means; the process has to end.
-            if mode == Mode::Stopping && now_ns.saturating_sub(since_ns) > self.stop_timeout_ns && !self.gave_up {
+            let stopping = mode == Mode::Stopping || mode == Mode::Faulted && drives.phase != DrivesPhase::Off;
+            if stopping && now_ns.saturating_sub(since_ns) > self.stop_timeout_ns && !self.gave_up {
                 self.gave_up = true;
                 return (Some(Request::Disarm), None);
             }
-        } else if self.auto.arm && mode == Mode::Disarmed && can_come_up(drives) {
+        } else if self.auto.arm
+            && mode == Mode::Disarmed
+            && can_come_up(drives)
+            && (self.arm_unknown || demand == ObstacleDemand::Proceed)
+        {
             self.auto.arm = false;
             return (Some(Request::Arm), None);
         } else if self.auto.track && mode == Mode::Holding && target_fresh && demand == ObstacleDemand::Proceed {

@@ -42,7 +42,7 @@ pub fn settings() -> Settings {
         ObserverConfig { stiffness_ratio: 3.0, disturbance_time_s: 1.0, settle_timeout_s: 2.0, ..config.observer };
     // Fast: what these tests look at takes a second or two.
     let governor = GovernorConfig { speed_mps: 0.5, acceleration_mps2: 1.0, bend_rate_radps: 1.5, ..config.governor };
-    Settings::from_parts(
+    let parts = Settings::from_parts(
         config.arm,
         config.timing,
         planner,
@@ -51,7 +51,9 @@ pub fn settings() -> Settings {
         governor,
         config.guard,
         config.supervision,
-    )
+    );
+    // Faults end in the ramp; tests of cables that stay say so.
+    Settings { safe_hold: vec![SafeHold::Ramp; parts.arm.cable_count()], ..parts }
 }
 
 /// The same with a pretension: the safe value is not zero.

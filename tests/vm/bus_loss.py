@@ -38,10 +38,14 @@ CHANGES = {
         "period_s": "0.05\noverruns_hold = 1000\noverruns_fault = 10000",
         "encoder_silent_s": 5.0,
         "encoder_stuck_s": 10.0,
+        # The arm is alone in the world.
+        "sigma_multiple": "3.0\narm_unknown = true",
     },
     "drives.toml": {
         "kind": '"socketcan"',
         "interface": '"INTERFACE"',
+        # What is claimed of the drives is that they let go by themselves where they are told to.
+        "product_code": '0x53494e57\nsafe_hold = "ramp"',
         "heartbeat_s": 0.2,
         "heartbeat_timeout_s": HEARTBEAT_TIMEOUT_S,
         "sync_timeout_s": SYNC_TIMEOUT_S,

@@ -35,10 +35,26 @@ pub struct ObjectWrite {
 }
 
 impl ObjectWrite {
-    /// The guard of sinew's simulated drive: SYNC timeout (us, 0 off) and safe torque (per mille of rated torque).
-    pub fn sinew_guard(sync_timeout_us: u32, safe_torque_permille: i16) -> [Self; 2] {
+    /// What lets go of a torque that sinew's simulated drive keeps: it goes to the safe torque (per mille of rated torque) at
+    /// this slope (per mille a second).
+    pub fn sinew_release(safe_torque_permille: i16, slope: u32) -> [Self; 3] {
+        let write = |index, sub, data| Self { index, sub, data, optional: false };
+        [
+            write(o::TORQUE_SLOPE, 0, slope.to_le_bytes().to_vec()),
+            write(o::GUARD, o::GUARD_TORQUE, safe_torque_permille.to_le_bytes().to_vec()),
+            write(o::GUARD, o::GUARD_KEEPS, vec![0]),
+        ]
+    }
+
+    /// The guard of sinew's simulated drive: SYNC timeout (us, 0 off), safe torque (per mille of rated torque), and whether
+    /// the torque that acts when the master falls silent is kept in its place.
+    pub fn sinew_guard(sync_timeout_us: u32, safe_torque_permille: i16, keeps: bool) -> [Self; 3] {
         let write = |sub, data| Self { index: o::GUARD, sub, data, optional: false };
-        [write(1, sync_timeout_us.to_le_bytes().to_vec()), write(2, safe_torque_permille.to_le_bytes().to_vec())]
+        [
+            write(o::GUARD_SYNC, sync_timeout_us.to_le_bytes().to_vec()),
+            write(o::GUARD_TORQUE, safe_torque_permille.to_le_bytes().to_vec()),
+            write(o::GUARD_KEEPS, vec![u8::from(keeps)]),
+        ]
     }
 }
 
@@ -55,8 +71,15 @@ pub struct DriveSetup {
     pub rated_torque_mnm: Option<u32>,
     /// Largest torque (per mille of rated torque), written to 6072 and enforced by the master too.
     pub torque_permille_max: u16,
+    /// What it does when the connection is lost, object 6007.
+    pub abort_connection: i16,
+    /// Its safe torque (2000:02 of sinew's simulated drive) follows the torques that it is sent.
+    pub safe_torque_follows: bool,
     /// Further objects, written last.
     pub writes: Vec<ObjectWrite>,
+    /// What lets go, slowly, of a torque that the drive keeps without a master: written before it is reset, if it still gives
+    /// torque. None: it is reset at once.
+    pub release: Vec<ObjectWrite>,
 }
 
 impl DriveSetup {
@@ -68,7 +91,10 @@ impl DriveSetup {
             identity: Identity::default(),
             rated_torque_mnm: None,
             torque_permille_max: 1000,
+            abort_connection: 1,
+            safe_torque_follows: false,
             writes: Vec::new(),
+            release: Vec::new(),
         }
     }
 }
@@ -115,6 +141,10 @@ pub struct MasterConfig {
     pub sdo_retries: u32,
     /// Time between two objects that are read back in operation (us); 0: none are.
     pub read_back_us: u32,
+    /// Time constant of the mean of the torques sent, which safe torques follow (us).
+    pub mean_time_us: u32,
+    /// Time that a drive is given to let go of a torque that it kept without a master, before it is reset (ms).
+    pub release_ms: u32,
     /// Time granted from reset to boot-up (ms).
     pub boot_timeout_ms: u32,
     /// Time granted to each transition of the NMT and power state machines (ms).
@@ -129,7 +159,8 @@ pub struct MasterConfig {
 
 impl MasterConfig {
     /// Defaults for the drives given: heartbeats of 50 ms with time-outs of 200 ms (four may be missed in a row but
-    /// not five), SDO 100 ms twice repeated, nothing read back, boot-up 5 s, transitions 1 s. RPDOs are not monitored, for how long they may
+    /// not five), SDO 100 ms twice repeated, nothing read back, torques averaged over
+    /// 0.5 s, boot-up 5 s, transitions 1 s. RPDOs are not monitored, for how long they may
     /// be missing depends on who sends them.
     pub fn new(drives: Vec<DriveSetup>, node: NodeId, cycle_us: u32) -> Self {
         Self {
@@ -146,6 +177,8 @@ impl MasterConfig {
             sdo_timeout_ms: 100,
             sdo_retries: 2,
             read_back_us: 0,
+            mean_time_us: 500_000,
+            release_ms: 0,
             boot_timeout_ms: 5000,
             transition_timeout_ms: 1000,
             order_of_start: Order::Parallel,

@@ -10,7 +10,7 @@ use crate::canopen::NodeId;
 use crate::canopen::cob::{self, RPDO, SYNC, TPDO};
 use crate::clock::monotonic_ns;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI16, AtomicU16, AtomicU64, Ordering};
 
 /// A set of drives by index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -50,6 +50,8 @@ const BEGINNINGS: u64 = 64;
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) controlwords: Box<[AtomicU16]>,
+    /// Torques of the last moments without what was swinging, by drive (per mille).
+    pub(crate) mean_torques: Box<[AtomicI16]>,
     /// The newest cycle.
     pub(crate) cycle: AtomicU64,
     /// When the newest cycles began (CLOCK_MONOTONIC, ns), each at its number modulo the length.
@@ -62,6 +64,7 @@ impl Shared {
     pub(crate) fn new(drives: usize, buses: usize) -> Self {
         Self {
             controlwords: (0..drives).map(|_| AtomicU16::new(0)).collect(),
+            mean_torques: (0..drives).map(|_| AtomicI16::new(0)).collect(),
             cycle: AtomicU64::new(0),
             begun_ns: std::array::from_fn(|_| AtomicU64::new(0)),
             unsent: (0..buses).map(|_| AtomicU64::new(0)).collect(),
@@ -132,15 +135,19 @@ pub struct CycleWriter {
     drives: Vec<Address>,
     /// By bus; `None` where each drive has an RPDO of its own.
     packed: Vec<Option<Packed>>,
+    /// Mean torque of each drive (per mille), and the share by which a cycle moves it.
+    means: Vec<f32>,
+    share: f32,
     shared: Arc<Shared>,
 }
 
 impl CycleWriter {
-    /// `layouts` by bus.
+    /// `layouts` by bus; the share of a cycle in the mean torques.
     pub(crate) fn new(
         buses: Vec<Box<dyn CanBus>>,
         drives: Vec<Address>,
         layouts: Vec<Layout>,
+        share: f32,
         shared: Arc<Shared>,
     ) -> Self {
         let packed = |(bus, layout)| {
@@ -152,7 +159,7 @@ impl CycleWriter {
             (layout == Layout::Packed && all.used > 0).then_some(all)
         };
         let packed = layouts.into_iter().enumerate().map(packed).collect();
-        Self { buses, drives, packed, shared }
+        Self { buses, means: vec![0.0; drives.len()], drives, packed, share, shared }
     }
 
     /// Number of drives.
@@ -186,6 +193,8 @@ impl CycleWriter {
             if torque != wanted {
                 report.limited.insert(i);
             }
+            self.means[i] += self.share * (f32::from(torque) - self.means[i]);
+            self.shared.mean_torques[i].store(self.means[i].round() as i16, Ordering::Release);
             let word = self.shared.controlwords[i].load(Ordering::Acquire);
             let slot = encode_rpdo1(word, torque);
             if let Some(Some(packed)) = self.packed.get_mut(d.bus) {

@@ -31,8 +31,14 @@ pub const RPDO_MAPPING: u16 = 0x1600;
 pub const TPDO_COMMUNICATION: u16 = 0x1800;
 /// Mapping of the first TPDO.
 pub const TPDO_MAPPING: u16 = 0x1a00;
-/// Sinew's own: communication guard; sub 1 SYNC timeout (us, 0 off), sub 2 safe torque (per mille of rated torque).
+/// Sinew's own: communication guard, what the drive does when its master is silent.
 pub const GUARD: u16 = 0x2000;
+/// Sub-index of [`GUARD`]: SYNC timeout (us, 0 off).
+pub const GUARD_SYNC: u8 = 1;
+/// Sub-index of [`GUARD`]: safe torque (per mille of rated torque), to which the torque goes at [`TORQUE_SLOPE`].
+pub const GUARD_TORQUE: u8 = 2;
+/// Sub-index of [`GUARD`]: 0, the torque goes to the safe torque; 1, it stays as it is.
+pub const GUARD_KEEPS: u8 = 3;
 /// Sinew's own: frames in which a drive sends its PDOs and how long they may be; [`PDO_FORMAT_CLASSIC`],
 /// [`PDO_FORMAT_FD`] or [`PDO_FORMAT_FD_BRS`].
 pub const PDO_FORMAT: u16 = 0x2002;

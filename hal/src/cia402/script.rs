@@ -1,6 +1,6 @@
 //! The SDO script of one drive: what is checked, written and read back before it may become operational.
 
-use super::config::MasterConfig;
+use super::config::{MasterConfig, ObjectWrite};
 use super::fault::Fault;
 use super::layout::Layout;
 use super::objects as o;
@@ -70,7 +70,7 @@ pub fn script(config: &MasterConfig, index: usize) -> Vec<Step> {
     // After a communication error the node stays operational, so that its fault is still seen in TPDO 1; what the
     // power stage does is 6007's business.
     steps.push(optional(o::ERROR_BEHAVIOUR, 1, &[1]));
-    steps.push(write(o::ABORT_CONNECTION, 0, &1i16.to_le_bytes()));
+    steps.push(write(o::ABORT_CONNECTION, 0, &drive.abort_connection.to_le_bytes()));
     steps.push(optional(o::CYCLE_PERIOD, 0, &config.cycle_us.to_le_bytes()));
 
     let layout = config.layout(drive.bus);
@@ -177,6 +177,22 @@ impl Runner {
             rated_torque_mnm: None,
             absent: Vec::new(),
         }
+    }
+
+    /// Asks the drive with this index whether it gives torque: done if not.
+    pub fn asking(config: &MasterConfig, index: usize) -> Self {
+        let asked = Step::Check { index: o::TORQUE_DEMAND, sub: 0, len: 2, expected: 0, mask: 0xffff, tries: 1 };
+        Self { steps: vec![asked], retries_max: 0, ..Self::new(config, index) }
+    }
+
+    /// Tells the drive with this index to let go of its torque.
+    pub fn releasing(config: &MasterConfig, index: usize) -> Self {
+        let writes = config.drives.get(index).map_or(&[][..], |drive| &drive.release);
+        let step = |w: &ObjectWrite| {
+            let (index, sub, optional) = (w.index, w.sub, w.optional);
+            Step::Write { index, sub, data: w.data.clone(), mask: u32::MAX, optional }
+        };
+        Self { steps: writes.iter().map(step).collect(), ..Self::new(config, index) }
     }
 
     /// Steps done and steps in all.

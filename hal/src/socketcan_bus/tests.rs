@@ -110,7 +110,8 @@ fn a_new_cycle_takes_the_place_of_what_is_left_of_the_one_before() {
     let node = |i: usize| NodeId::new(i as u8 + 1).unwrap();
     let drives = (0..DRIVES).map(|i| Address { bus: 0, node: node(i), rank: i, torque_permille_max: i16::MAX });
     let shared = Arc::new(Shared::new(DRIVES, 1));
-    let mut writer = CycleWriter::new(vec![Box::new(bus)], drives.collect(), vec![Layout::Classic], shared.clone());
+    let mut writer =
+        CycleWriter::new(vec![Box::new(bus)], drives.collect(), vec![Layout::Classic], 0.0, shared.clone());
     let unsent = || shared.unsent[0].load(Ordering::Relaxed);
     // Nobody reads: at some cycle the kernel's queue is full, and part of it is left when the next one begins.
     let mut cycle = 0;

@@ -2,8 +2,6 @@
 
 use crate::{Args, World, each_seed};
 use nalgebra::{Vector3, Vector4};
-use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::bench::Bench;
 use sinew::collision::{Body, BodyGeometry, Shape};
 use sinew::config::{BodyModel, ScenarioConfig, Task};
@@ -15,17 +13,14 @@ use std::path::Path;
 /// Time at the start of the task before it is judged (s).
 const APPROACH_S: f64 = 20.0;
 
-/// Longest time that a stop is watched (s).
-const STOP_S: f64 = 200.0;
-
-pub fn run(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option<&Path>) {
+pub fn run(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>) {
     each_seed(args, |seed| {
-        let line = one(args, name, duration, stop, trace, seed);
+        let line = one(args, name, duration, trace, seed);
         println!("{seed:4} {line}");
     });
 }
 
-fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option<&Path>, seed: u64) -> String {
+fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, seed: u64) -> String {
     let World { mut config, truth } = args.world(seed);
     let scenario = ScenarioConfig::find(name).unwrap_or_else(|error| panic!("{error}"));
     config.planner.avoidance = scenario.planner.avoidance;
@@ -58,9 +53,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
     let mut failed = String::new();
     let mut speed = 0.0f64;
     let mut before = bench.truth.tip().position;
-    // A stop at a seeded instant.
-    let stop_s = stop.then(|| Xoshiro256PlusPlus::seed_from_u64(seed).random_range(0.0..duration));
-    while bench.time_s() < begin + stop_s.unwrap_or(duration) {
+    while bench.time_s() < begin + duration {
         let now = bench.time_s() + h - begin;
         let place = |bench: &mut Bench, at: f64| {
             for (k, obstacle) in scenario.obstacles.iter().enumerate() {
@@ -168,46 +161,6 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
             failed = format!("plant {why}");
             break;
         }
-    }
-    if let (Some(at), "") = (stop_s, failed.as_str()) {
-        let (mut nearest, mut fastest, mut request) = (f64::INFINITY, 0.0f64, Some(Request::Stop));
-        let mut disarmed = None;
-        bench.target = None;
-        while bench.time_s() < begin + at + STOP_S && disarmed.is_none() {
-            let now = bench.time_s() + h - begin;
-            for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-                let placement = Placement {
-                    position_now_m: obstacle.motion.position_at(now),
-                    position_ahead_m: obstacle.motion.position_at(now + lookahead),
-                    quaternion: obstacle.quaternion,
-                    growth_m: 0.0,
-                };
-                bench.obstacles.place(k, &placement).unwrap();
-            }
-            let output = bench.step(request.take());
-            bench.truth.frames_into(&mut r, &mut t);
-            let measured = body.measure(&r, &t, bench.obstacles.now());
-            nearest = measured.along_arm.iter().copied().fold(nearest, f64::min);
-            let tip = bench.truth.tip().position;
-            let speed = (tip - before).norm() / h;
-            fastest = fastest.max(speed);
-            before = tip;
-            if let Some(file) = &mut trace {
-                let g = bench.cycle.governor();
-                let off = (g.reference_tip() - tip).norm();
-                let distance = measured.along_arm.iter().copied().fold(f64::INFINITY, f64::min);
-                let (met, load) = (g.met().distance_min, g.met().load_max);
-                writeln!(file, "{now:.2} stop: speed {speed:.4}, {off:.4} from the reference, distance {distance:.4}, reference's {met:.4}, load {load:.2}").unwrap();
-            }
-            if !matches!(output.mode, Mode::Stopping) {
-                disarmed = Some(format!("{:?} after {:.1} s at {speed:.4} m/s", output.mode, now - at));
-            }
-        }
-        failed = format!(
-            "stop at {at:.1} s: least {:.2} mm, fastest {fastest:.3} m/s, {}",
-            1e3 * nearest,
-            disarmed.as_deref().unwrap_or("not disarmed")
-        );
     }
     let n = count.max(1) as f64;
     let mut curvature = f64::NAN;

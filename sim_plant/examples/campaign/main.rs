@@ -6,6 +6,7 @@
 mod arms;
 mod follow;
 mod poses;
+mod stops;
 mod thrown;
 
 use clap::{Parser, Subcommand};
@@ -79,12 +80,27 @@ enum What {
         /// Length of the run (s), in place of the scenario's.
         #[arg(long)]
         duration: Option<f64>,
-        /// Stop at a seeded instant, and watch the arm until it is disarmed.
-        #[arg(long)]
-        stop: bool,
         /// A line per tick on this file.
         #[arg(long)]
         trace: Option<PathBuf>,
+    },
+    /// A scenario that is stopped or cut off at seeded instants: one line each, and one for all.
+    Stops {
+        /// Built-in scenario or file.
+        scenario: String,
+        /// `stop`, `sigterm`, `kill` (the daemon is dead), `bus` (one of four, or all), `fault` (a drive trips, an encoder is
+        /// silent or jumps, ticks are late).
+        #[arg(long, value_delimiter = ',', default_value = "stop,sigterm,kill,bus,fault")]
+        kinds: Vec<String>,
+        /// Gravity of 9.81 m/s^2 along -z, known to the controller.
+        #[arg(long)]
+        gravity: bool,
+        /// `safe_hold` of all drives, in place of the configuration's.
+        #[arg(long)]
+        hold: Option<String>,
+        /// Latest instant (s), in place of the scenario's length.
+        #[arg(long)]
+        duration: Option<f64>,
     },
     /// Balls at an arm that holds.
     Thrown {
@@ -203,8 +219,12 @@ fn main() {
             let (way, radius, amount, posture, straight) = (*way, *radius, *amount, *posture, *straight);
             thrown::run(&args, &thrown::Thrown { way, radius, amount, posture, straight, trace: trace.clone() });
         }
-        What::Follow { scenario, duration, stop, trace } => {
-            follow::run(&args, scenario, *duration, *stop, trace.as_deref());
+        What::Follow { scenario, duration, trace } => {
+            follow::run(&args, scenario, *duration, trace.as_deref());
+        }
+        What::Stops { scenario, kinds, gravity, hold, duration } => {
+            let (gravity, hold, duration_s) = (*gravity, hold.as_deref(), *duration);
+            stops::run(&args, &stops::Stops { scenario, kinds, gravity, hold, duration_s });
         }
         What::Arms { scenarios, scales, duration, trace } => {
             arms::run(&args, scenarios, scales, *duration, trace.as_deref());

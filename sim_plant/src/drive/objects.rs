@@ -84,6 +84,7 @@ fn limits(index: u16, sub: u8) -> Option<(i64, i64)> {
         (o::ABORT_CONNECTION, 0) => Some((0, 3)),
         // Ten times the rated torque, as far as sinew's configuration lets a drive go; 6072 limits what is applied.
         (o::GUARD, 2) => Some((-10_000, 10_000)),
+        (o::GUARD, 3) => Some((0, 1)),
         (o::PDO_FORMAT, 0) => Some((o::PDO_FORMAT_CLASSIC.into(), o::PDO_FORMAT_FD_BRS.into())),
         (0x1600..=0x1603 | 0x1a00..=0x1a03, 0) => Some((0, i64::from(MAPPED_MAX))),
         _ => None,
@@ -104,6 +105,7 @@ pub fn dictionary(node: u8, nameplate: Nameplate) -> ObjectDictionary {
         &[
             (1, "SYNC timeout in microseconds, 0 is off", U32, Rw, Value::Int(0)),
             (2, "Safe torque in per mille of rated torque", I16, Rw, Value::Int(0)),
+            (3, "1 keeps the torque in place of the safe one", U8, Rw, Value::Int(0)),
         ],
     );
     t.text(LABEL, "Label of the drive", Rw, "unlabelled");

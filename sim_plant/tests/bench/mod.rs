@@ -39,7 +39,7 @@ impl Bench {
                 let mut d = DriveSetup::new(bus, node(n));
                 d.identity.product = Some(PRODUCT);
                 d.rated_torque_mnm = Some(5000);
-                d.writes = ObjectWrite::sinew_guard(30_000, 0).to_vec();
+                d.writes = ObjectWrite::sinew_guard(30_000, 0, false).to_vec();
                 drives.push(d);
             }
         }

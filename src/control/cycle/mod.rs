@@ -66,6 +66,9 @@ impl Plan for Planner {
     }
 }
 
+/// Time constant of the mean tensions at which cables stay at a fault, in lookaheads.
+pub const STAY_LOOKAHEADS: f64 = 5.0;
+
 /// What a tick works from.
 #[derive(Debug, Clone, Copy)]
 pub struct TickInputs<'a> {
@@ -137,6 +140,11 @@ pub struct Cycle<E, P = Planner> {
     /// Largest tension of each cable (N).
     maxima_n: Vec<f64>,
     safe: Vec<f64>,
+    /// Tensions that the drums were told in the last moments, without what was swinging (N); at a fault, where they stay.
+    stay: Vec<f64>,
+    /// Share by which a period moves them.
+    stay_share: f64,
+    release: Ramp,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
     /// What acts along the cables' routes: what planner and observer think in.
@@ -187,7 +195,12 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let lag_s =
             planning.lead_s.unwrap_or_else(|| lag_s(weights.tip.rate, weights.tip.pose, &scheme, planning.lookahead_s));
         Self {
-            supervisor: Supervisor::new(&settings.timing, &settings.observer),
+            supervisor: Supervisor::new(
+                &settings.timing,
+                &settings.observer,
+                settings.safe_hold.iter().any(|hold| hold.stays()),
+                settings.arm_unknown,
+            ),
             encoders: EncoderGuard::new(&settings.guard, cables, settings.timing.period_s),
             tensions: TensionGuard::new(&settings.arm, &settings.guard, period_s),
             friction: FrictionCompensation::new(&settings.friction, &arm, period_s),
@@ -217,6 +230,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             model_rates: vec![0.0; cables],
             maxima_n: settings.arm.tension_maxima_n(),
             safe: vec![settings.safe_tension_n(); cables],
+            stay: vec![0.0; cables],
+            stay_share: period_s / (STAY_LOOKAHEADS * planning.lookahead_s + period_s),
+            release: Ramp::new(cables, settings.timing.release_s),
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
             sent: vec![0.0; cables],
@@ -332,8 +348,12 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         if let Some(fault) = self.check(&decision, &mut limits) {
             self.supervisor.raise(fault, inputs.tick, inputs.now_ns, inputs.drives.phase);
             // The tick of the fault is the first one of the ramp. The drives keep their torque for it.
+            self.ramp.end();
             self.ramp_down(inputs);
             drives = DrivesCommand::On;
+        }
+        if self.supervisor.mode() != Mode::Faulted {
+            self.remember(self.supervisor.is_planning());
         }
         self.supervisor.note_limits(limits, inputs.tick, inputs.now_ns);
         deadline.mark(Phase::Guard);
@@ -522,8 +542,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         deadline: &mut impl StopWatch,
     ) -> Option<Report> {
         let begin_ns = inputs.now_ns.saturating_sub(self.period_ns);
-        if !matches!(decision.action, Action::Ramp | Action::Tighten) {
+        if !matches!(decision.action, Action::Ramp | Action::Tighten | Action::Stay) {
             self.ramp.end();
+        }
+        if decision.action != Action::Release {
+            self.release.end();
         }
         let target = match decision.action {
             Action::Off => {
@@ -538,6 +561,15 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             Action::Ramp => {
                 self.ramp.begin(&self.commanded, begin_ns);
                 self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
+                return None;
+            }
+            Action::Stay => {
+                self.stay(begin_ns, inputs.now_ns);
+                return None;
+            }
+            Action::Release => {
+                self.release.begin(&self.commanded, begin_ns);
+                self.release.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
                 return None;
             }
             Action::Tighten => {
@@ -594,13 +626,36 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         })
     }
 
-    /// One tick of the ramp to the safe tension, from what the drums were told last.
+    /// One tick of what a fault leads to, from what the drums were told last.
     fn ramp_down(&mut self, inputs: &TickInputs<'_>) {
-        self.ramp.end();
-        self.ramp.begin(&self.commanded, inputs.now_ns.saturating_sub(self.period_ns));
-        self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
+        let begin_ns = inputs.now_ns.saturating_sub(self.period_ns);
+        if self.supervisor.is_held() {
+            self.stay(begin_ns, inputs.now_ns);
+        } else {
+            self.ramp.begin(&self.commanded, begin_ns);
+            self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
+        }
         self.friction.rest();
         self.send(Floor::Zero);
+    }
+
+    /// Proposes what each cable is declared to do at a fault: to go to the tension of the last moments without what was
+    /// swinging, or to the safe one.
+    fn stay(&mut self, begin_ns: u64, now_ns: u64) {
+        if !self.ramp.is_begun() {
+            let declared = self.settings.safe_hold.iter().zip(&self.safe);
+            for (stay, (hold, safe)) in self.stay.iter_mut().zip(declared) {
+                *stay = if hold.stays() { *stay } else { *safe };
+            }
+            self.ramp.begin(&self.commanded, begin_ns);
+        }
+        self.ramp.tensions_into(&self.stay, now_ns, &mut self.proposed);
+    }
+
+    /// What is told while the loop is sound moves where cables stay at a fault.
+    fn remember(&mut self, plans: bool) {
+        let share = if plans { self.stay_share } else { 1.0 };
+        self.stay.iter_mut().zip(&self.commanded).for_each(|(stay, u)| *stay += share * (u - *stay));
     }
 
     /// Judges `proposed` with what friction takes added, and moves it to `commanded` and `sent`.

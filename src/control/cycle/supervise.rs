@@ -7,11 +7,11 @@ use crate::control::supervision::{SLOW_PACE, Seen, Verdict};
 use crate::control::supervisor::Mode;
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
-    /// Watches motion, tensions and cables while the arm holds or moves.
+    /// Watches motion, tensions and cables while the loop plans, also on the way up and down.
     pub(super) fn supervise(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Verdict {
         let stops = matches!(self.supervisor.mode(), Mode::Stopping | Mode::Faulted);
         self.governor.set_scale(if stops { 1.0 } else { self.speed_scale });
-        if !(self.observing && self.supervisor.mode().is_planning()) {
+        if !(self.observing && self.supervisor.is_planning()) {
             self.governor.set_pace(1.0);
             return Verdict::default();
         }

@@ -1,4 +1,4 @@
-//! What is watched while the arm holds or moves, beside its encoders: speed, rates, swing, saturation, tensions against
+//! What is watched while the arm holds or moves, is raised or lowered, beside its encoders: speed, rates, swing, saturation, tensions against
 //! commands, cables against each other and against what the arm does.
 //!
 //! Enters: the estimate, the reference, tensions and lengths of the tick. Leaves: limits that act, faults, and whether the

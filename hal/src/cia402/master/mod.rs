@@ -19,7 +19,7 @@ use status::Slot;
 use super::config::{DRIVES_MAX, MasterConfig, Order, SetupError};
 use super::cyclic::{Address, CycleWriter, Decoder, Shared};
 use super::fault::{DriveFault, Fault};
-use super::objects::decode_tpdo1;
+use super::objects::{TORQUE_DEMAND, decode_tpdo1};
 use super::read_back::{ReadBack, Task};
 use super::script::{Advance, Runner};
 use super::state::State;
@@ -88,7 +88,9 @@ impl Master {
         let handles: Result<Vec<_>, _> = buses.iter().map(|b| b.duplicate()).collect();
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
         let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
-        let writer = CycleWriter::new(handles, addresses.clone(), layouts, shared.clone());
+        let cycle_us = config.cycle_us as f32;
+        let share = cycle_us / (config.mean_time_us as f32 + cycle_us);
+        let writer = CycleWriter::new(handles, addresses.clone(), layouts, share, shared.clone());
         Ok(Self {
             outbox: buses.iter().map(|_| VecDeque::with_capacity(OUTBOX_MAX)).collect(),
             outbox_dropped: vec![0; buses.len()],
@@ -345,6 +347,9 @@ impl Master {
         if let Some(r) = &self.slots[i].runner {
             (self.slots[i].status.steps, self.slots[i].status.sdo_ignored) = (r.progress(), r.ignored());
         }
+        if self.slots[i].status.phase == Phase::Releasing {
+            return self.release(i, advance, now_ns);
+        }
         match advance {
             Advance::Send(payload) => self.send_sdo(i, &payload),
             Advance::Wait => {}
@@ -380,7 +385,8 @@ impl Master {
             if let (Some(read_back), None) = (&mut self.read_back, &self.writer) {
                 let ready = |i: usize| self.slots[i].status.phase == Phase::Ready;
                 let absent = |i: usize, index, sub| self.slots[i].status.absent.contains(&(index, sub));
-                let task = read_back.poll(now_ns, ready, absent);
+                let safe = |i: usize| self.shared.mean_torques[i].load(Ordering::Acquire);
+                let task = read_back.poll(now_ns, ready, absent, safe);
                 self.carry_out(task, now_ns);
             }
             self.flush();
@@ -444,12 +450,13 @@ impl Master {
     fn boot(&mut self, now_ns: u64) {
         for i in indices(self.config.order_of_start, self.slots.len()) {
             match self.slots[i].status.phase {
+                Phase::Waiting if self.config.drives[i].release.is_empty() => self.reset_node(i, now_ns),
                 Phase::Waiting => {
+                    let mut runner = Runner::asking(&self.config, i);
+                    let first = runner.start(now_ns);
                     let slot = &mut self.slots[i];
-                    slot.status.phase = Phase::Booting;
-                    slot.since_ns = now_ns;
-                    let Address { bus, node, .. } = self.addresses[i];
-                    self.send(bus, NmtCommand::ResetNode.encode(Some(node)));
+                    (slot.status.phase, slot.since_ns, slot.runner) = (Phase::Releasing, now_ns, Some(runner));
+                    self.advance(i, first, now_ns);
                 }
                 Phase::Ready | Phase::Failed => continue,
                 _ => {}
@@ -460,6 +467,45 @@ impl Master {
         }
     }
 
+    fn reset_node(&mut self, i: usize, now_ns: u64) {
+        let slot = &mut self.slots[i];
+        (slot.status.phase, slot.since_ns, slot.runner) = (Phase::Booting, now_ns, None);
+        let Address { bus, node, .. } = self.addresses[i];
+        self.send(bus, NmtCommand::ResetNode.encode(Some(node)));
+    }
+
+    /// What a drive that may keep a torque answered: without torque, or silent, it is reset; with one it is told to let go,
+    /// and reset when its time is over ([`Self::supervise`]).
+    fn release(&mut self, i: usize, advance: Advance, now_ns: u64) {
+        match advance {
+            Advance::Send(payload) => self.send_sdo(i, &payload),
+            Advance::Wait => {}
+            Advance::Done if self.slots[i].status.steps.1 > 1 => self.slots[i].runner = None,
+            Advance::Failed(Fault::Value { index: TORQUE_DEMAND, .. }, _) => {
+                let mut runner = Runner::releasing(&self.config, i);
+                let first = runner.start(now_ns);
+                self.slots[i].status.steps = runner.progress();
+                self.slots[i].runner = Some(runner);
+                if let Advance::Send(payload) = first {
+                    self.send_sdo(i, &payload);
+                }
+            }
+            Advance::Failed(_, abort) => {
+                if let Some(payload) = abort {
+                    self.send_sdo(i, &payload);
+                }
+                self.reset_node(i, now_ns);
+            }
+            Advance::Done => self.reset_node(i, now_ns),
+        }
+    }
+
+    /// Whether a drive in fault may keep a torque, of which a reset alone would let go at once.
+    pub fn may_hold(&self) -> bool {
+        let faulted = |s: &Slot| s.status.state() == Some(State::Fault);
+        self.slots.iter().zip(&self.config.drives).any(|(s, drive)| faulted(s) && !drive.release.is_empty())
+    }
+
     /// Time-outs of one drive.
     fn supervise(&mut self, i: usize, now_ns: u64) {
         let waited_ns = now_ns.saturating_sub(self.slots[i].since_ns);
@@ -468,7 +514,10 @@ impl Master {
             Phase::Booting if over(self.config.boot_timeout_ms) => {
                 self.fail(i, now_ns, Fault::NoBootUp { timeout_ms: self.config.boot_timeout_ms });
             }
-            Phase::Configuring => {
+            Phase::Releasing if self.slots[i].runner.is_none() && over(self.config.release_ms) => {
+                self.reset_node(i, now_ns);
+            }
+            Phase::Configuring | Phase::Releasing => {
                 if let Some(mut runner) = self.slots[i].runner.take() {
                     let advance = runner.poll(now_ns);
                     self.slots[i].runner = Some(runner);

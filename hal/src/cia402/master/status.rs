@@ -22,6 +22,8 @@ pub enum Goal {
 pub enum Phase {
     /// Not started, or waiting for its turn.
     Waiting,
+    /// Asked whether it gives torque, and told to let go of it.
+    Releasing,
     /// Reset; boot-up awaited.
     Booting,
     /// The SDO script runs.
@@ -69,7 +71,7 @@ impl DriveStatus {
 pub struct Progress {
     /// Number of drives.
     pub drives: usize,
-    /// Waiting, booting, configuring or starting.
+    /// Waiting, letting go, booting, configuring or starting.
     pub starting: usize,
     /// Operational.
     pub ready: usize,

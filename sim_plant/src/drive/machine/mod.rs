@@ -225,7 +225,8 @@ impl Drive {
 
     /// What object 6007 wants when the connection is gone. The emergency object is sent in any case.
     fn abort_connection(&mut self, error_code: u16, data: [u8; 5]) {
-        let safe = self.within_limit(o::GUARD, 2);
+        let keeps = self.dictionary.int(o::GUARD, o::GUARD_KEEPS) != 0;
+        let safe = if keeps { self.torque } else { self.within_limit(o::GUARD, o::GUARD_TORQUE) };
         match self.dictionary.int(o::ABORT_CONNECTION, 0) {
             1 => return self.fault(error_code, register::COMMUNICATION, safe, data),
             2 => self.command(Command::DisableVoltage),
@@ -467,7 +468,15 @@ impl Drive {
                 *consumer =
                     Consumer { node, timeout_ns: if node == 0 { 0 } else { timeout_ns }, ..Consumer::default() };
             }
-            o::GUARD if self.dictionary.int(o::GUARD, 1) == 0 => self.sync_lost = false,
+            o::GUARD => {
+                if self.dictionary.int(o::GUARD, o::GUARD_SYNC) == 0 {
+                    self.sync_lost = false;
+                }
+                let lets_go = sub == o::GUARD_KEEPS && self.dictionary.int(o::GUARD, o::GUARD_KEEPS) == 0;
+                if lets_go && self.fault_torque != 0.0 {
+                    self.fault_torque = self.within_limit(o::GUARD, o::GUARD_TORQUE);
+                }
+            }
             // The history is cleared by writing 0 to its count.
             o::ERROR_FIELD => (1..=HISTORY).for_each(|s| self.dictionary.set_int(o::ERROR_FIELD, s, 0)),
             _ if pdo::parameter(index).is_some() => {
