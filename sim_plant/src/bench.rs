@@ -7,7 +7,9 @@
 use crate::truth::{Truth, TruthSettings};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::config::{Config, SafeHold, ScenarioConfig};
+use sinew::collision::Shape;
+use sinew::config::{Config, ObstacleConfig, SafeHold, ScenarioConfig};
+use sinew::control::obstacles::Placement;
 use sinew::control::{CableMask, Record};
 use sinew::control::{
     Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
@@ -204,6 +206,36 @@ impl Bench {
     /// Time (s) of the next tick.
     pub fn time_s(&self) -> f64 {
         self.tick as f64 * self.period_s
+    }
+
+    /// The obstacles of a scenario, to be placed before each tick.
+    ///
+    /// # Errors
+    /// There are too many, or one has no shape.
+    pub fn insert(&mut self, obstacles: &[ObstacleConfig]) -> Result<(), String> {
+        for (k, obstacle) in obstacles.iter().enumerate() {
+            let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
+            self.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;
+        }
+        Ok(())
+    }
+
+    /// Obstacles where they are at the scenario's time `now_s`, and so much later as the lookahead (s).
+    ///
+    /// # Errors
+    /// One is nowhere.
+    pub fn place(&mut self, obstacles: &[ObstacleConfig], now_s: f64, lookahead_s: f64) -> Result<(), String> {
+        for (k, obstacle) in obstacles.iter().enumerate() {
+            let at = |t: f64| obstacle.motion.position_at(t.max(0.0));
+            let placement = Placement {
+                position_now_m: at(now_s),
+                position_ahead_m: at(now_s + lookahead_s),
+                quaternion: obstacle.quaternion,
+                growth_m: 0.0,
+            };
+            self.obstacles.place(k, &placement).map_err(|error| format!("{error:?}"))?;
+        }
+        Ok(())
     }
 
     /// Something goes wrong from the next tick on, and stays so.

@@ -3,9 +3,8 @@
 use crate::bench::Bench;
 use crate::truth::TruthSettings;
 use nalgebra::{Vector3, Vector4};
-use sinew::collision::{Body, BodyGeometry, Shape};
+use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
-use sinew::control::obstacles::Placement;
 use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
 
 /// Time before a path at its first pose (s).
@@ -105,10 +104,7 @@ pub fn follow(
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
     let mut bench = Bench::at_start_of(scenario, &config, truth)?;
-    for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-        let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
-        bench.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;
-    }
+    bench.insert(&scenario.obstacles)?;
     bench.arm(config.observer.settle_timeout_s + 10.0).map_err(|why| format!("not armed: {why}"))?;
     let (h, lookahead, length) = (config.timing.period_s, config.planner.lookahead_s, config.arm.length_m());
     let nodes = bench.truth.config().node_count() + 1;
@@ -124,16 +120,7 @@ pub fn follow(
     let mut last: Vec<f64> = bench.cycle.tensions_n().to_vec();
     while bench.time_s() < begin + duration {
         let now = bench.time_s() + h - begin;
-        for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-            let at = |t: f64| obstacle.motion.position_at(t.max(0.0));
-            let placement = Placement {
-                position_now_m: at(now),
-                position_ahead_m: at(now + lookahead),
-                quaternion: obstacle.quaternion,
-                growth_m: 0.0,
-            };
-            bench.obstacles.place(k, &placement).map_err(|error| format!("{error:?}"))?;
-        }
+        bench.place(&scenario.obstacles, now, lookahead)?;
         bench.target = Some(target(&scenario.task, now, now + bench.cycle.lead_s()));
         let output = bench.step(request.take());
         let tip = bench.truth.tip();

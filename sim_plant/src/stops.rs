@@ -4,9 +4,8 @@ use crate::bench::{Bench, Trouble};
 use crate::follow::target;
 use crate::truth::TruthSettings;
 use nalgebra::Vector3;
-use sinew::collision::{Body, BodyGeometry, Shape};
+use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{BodyModel, Config, ScenarioConfig};
-use sinew::control::obstacles::Placement;
 use sinew::control::{Mode, Request};
 
 /// Time before a path at its first pose (s).
@@ -31,6 +30,8 @@ pub enum Ending {
 pub struct Stopped {
     /// Least distance of the arm's surface from an obstacle (m), negative in contact; infinite without obstacles.
     pub distance_m: f64,
+    /// The same of an arm that stood still from that instant on: what comes to an arm that holds, no hold prevents.
+    pub still_m: f64,
     /// Largest speed of the tip (m/s).
     pub speed_mps: f64,
     /// How far the tip is from where it was (m), at rest or at the end.
@@ -59,10 +60,7 @@ pub fn stop(
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
     let mut bench = Bench::at_start_of(scenario, &config, truth)?;
-    for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-        let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
-        bench.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;
-    }
+    bench.insert(&scenario.obstacles)?;
     bench.arm(config.observer.settle_timeout_s + 10.0).map_err(|why| format!("not armed: {why}"))?;
     let (h, lookahead) = (config.timing.period_s, config.planner.lookahead_s);
     let nodes = bench.truth.config().node_count() + 1;
@@ -70,10 +68,13 @@ pub fn stop(
     let mut body = Body::with_capacity(&BodyGeometry::from_arm(bench.truth.config()), BodyModel::Arm, 0.0, 16);
     let begin = bench.time_s() + APPROACH_S;
     let mut request = Some(Request::Track);
+    // Where the arm was when it ended: its tip, and its nodes.
     let mut ended: Option<Vector3<f64>> = None;
+    let (mut still_r, mut still_t) = (r.clone(), t.clone());
     let mut before = bench.truth.tip().position;
     let mut shown = Stopped {
         distance_m: f64::INFINITY,
+        still_m: f64::INFINITY,
         speed_mps: 0.0,
         moved_m: 0.0,
         rest_s: None,
@@ -83,16 +84,7 @@ pub fn stop(
     let mut quiet_s = 0.0;
     while bench.time_s() < begin + at_s + watch_s {
         let now = bench.time_s() + h - begin;
-        for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-            let at = |t: f64| obstacle.motion.position_at(t.max(0.0));
-            let placement = Placement {
-                position_now_m: at(now),
-                position_ahead_m: at(now + lookahead),
-                quaternion: obstacle.quaternion,
-                growth_m: 0.0,
-            };
-            bench.obstacles.place(k, &placement).map_err(|error| format!("{error:?}"))?;
-        }
+        bench.place(&scenario.obstacles, now, lookahead)?;
         bench.target = Some(target(&scenario.task, now, now + bench.cycle.lead_s()));
         if ended.is_none() && now >= at_s {
             if bench.cycle.mode() != Mode::Tracking {
@@ -100,6 +92,7 @@ pub fn stop(
                 return Err(format!("{:?} before {at_s:.2} s: {}", bench.cycle.mode(), why.unwrap_or_default()));
             }
             ended = Some(before);
+            bench.truth.frames_into(&mut still_r, &mut still_t);
             match ending {
                 Ending::Stop | Ending::Sigterm => request = Some(Request::Stop),
                 Ending::Trouble(trouble) => bench.befall(trouble),
@@ -119,6 +112,8 @@ pub fn stop(
         bench.truth.frames_into(&mut r, &mut t);
         let measured = body.measure(&r, &t, bench.obstacles.now());
         shown.distance_m = measured.along_arm.iter().copied().fold(shown.distance_m, f64::min);
+        let measured = body.measure(&still_r, &still_t, bench.obstacles.now());
+        shown.still_m = measured.along_arm.iter().copied().fold(shown.still_m, f64::min);
         shown.speed_mps = shown.speed_mps.max(speed);
         shown.moved_m = (tip - from).norm();
         shown.mode = output.mode;

@@ -195,6 +195,7 @@ impl Demo {
         bar.set_prefix(setup.scenario.name.clone());
         let (mut origin_ns, mut kill_at_s) = (None, self.kill_obstacle_client_at);
         let mut most_n = 0.0f64;
+        let mut heard = Instant::now();
         let ending = loop {
             if stop.load(Ordering::Relaxed) {
                 break Ending::Interrupted;
@@ -205,9 +206,17 @@ impl Demo {
                 newest = Some(state);
             }
             let Some(state) = newest else {
+                if origin_ns.is_none() && heard.elapsed() > START {
+                    return Err(miette!(
+                        "the loop does not begin after {} s; its drives may not come up: see daemon.log in {}",
+                        START.as_secs(),
+                        setup.folder().display()
+                    ));
+                }
                 std::thread::sleep(LOOK / 4);
                 continue;
             };
+            heard = Instant::now();
             // Somebody else may tell the arm to stop, and it does not start again by itself.
             let told_to_stop = [SupervisorState::Stopping, SupervisorState::Disarmed].map(SupervisorState::wire);
             if state.fault_code != 0 || origin_ns.is_some() && told_to_stop.contains(&state.supervisor) {

@@ -2,6 +2,7 @@
 
 use super::Config;
 use super::arm::ArmConfig;
+use super::drives::RATED_NM_MIN;
 use super::error::{ConfigError, Problem};
 use std::path::Path;
 
@@ -85,14 +86,19 @@ pub fn builtin_texts(drives: &str) -> Vec<(String, String)> {
 }
 
 /// `[drives]` of an arm that is simulated: one drive for each cable, on one virtual bus, in the order of the cables. The drums
-/// have 0.03 of the arm's length as radius, and the drives pull a little more than the largest tension.
+/// have 0.03 of the arm's length as radius, and the drives pull a little more than the largest tension. Gears are no higher than
+/// that the rated torque is one of those that object 6076 can show, in whole mN m.
 pub fn simulated_drives(arm: &ArmConfig) -> String {
     let drum_m = 0.03 * arm.length_m();
-    let torque_nm = 1.06 * arm.tension_n_max * drum_m / 10.0;
+    let drum_nm = 1.06 * arm.tension_n_max * drum_m;
+    let gear = (drum_nm / RATED_NM_MIN).min(10.0);
+    // As many a turn of the drum, whatever the gear.
+    let counts = (40_960.0 / gear).ceil();
+    let torque_nm = (drum_nm / gear).max(RATED_NM_MIN);
     format!(
         "[drives]\nsafe_tension_n = {:?}\n\n[[drives.buses]]\nname = \"bus0\"\nkind = \"virtual\"\ninterface = \"sinew0\"\n\n\
-         [drives.defaults]\ndrum_radius_m = {drum_m:?}\ngear_ratio = 10.0\nrated_torque_nm = {torque_nm:?}\n\
-         torque_nm_max = {torque_nm:?}\ncounts_per_turn = 4096\nvendor_id = 0\nproduct_code = 0x53494e57\n",
+         [drives.defaults]\ndrum_radius_m = {drum_m:?}\ngear_ratio = {gear:?}\nrated_torque_nm = {torque_nm:?}\n\
+         torque_nm_max = {torque_nm:?}\ncounts_per_turn = {counts}\nvendor_id = 0\nproduct_code = 0x53494e57\n",
         arm.tension_n_min
     )
 }

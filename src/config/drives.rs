@@ -335,11 +335,13 @@ const SIGN: Key = Key::default(
     "\"+\"",
     "`+` if positive torque and rising position pull the cable in, `-` if they let it out.",
 );
+/// Least rated torque that object 6076 shows (N m).
+pub(super) const RATED_NM_MIN: f64 = 1e-3;
 const RATED: Key = drive_key(
     "rated_torque_nm",
-    Kind::Float(Range::above(0.0, 1e4)),
+    Kind::Float(Range::closed(RATED_NM_MIN, 1e4)),
     "N m",
-    "Rated torque of the motor; drives count torque in thousandths of it.",
+    "Rated torque of the motor as its drive shows it (object 6076, whole mN m); drives count torque in thousandths of it.",
 );
 const COUNTS: Key = drive_key("counts_per_turn", Kind::Integer(1, 100_000_000), "", "Encoder counts per motor turn.");
 const LIMIT: Key = drive_key(

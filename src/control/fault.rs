@@ -321,6 +321,12 @@ impl Fault {
         }
     }
 
+    /// Whether a drive with this cause of a fault gives no torque any more: an error of the device by its emergency code (CiA 301),
+    /// other than one of communication (81xx, 82xx), at which it does what it was told to do without a master.
+    pub const fn ends_torque(cause: u32) -> bool {
+        cause >= 0x1000 && cause >> 8 != 0x81 && cause >> 8 != 0x82
+    }
+
     /// Whether the loop itself is sound, so that a stop may lower the arm after this fault.
     pub const fn permits_lowering(&self) -> bool {
         matches!(self, Self::TargetNotFinite | Self::Overruns { .. } | Self::Saturated { .. })

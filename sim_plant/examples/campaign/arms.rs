@@ -13,6 +13,15 @@ fn alone(scenario: &ScenarioConfig, period: Option<f64>) -> Config {
     config
 }
 
+/// Such an arm with its own plant.
+pub(crate) fn world(args: &Args, scenario: &ScenarioConfig, seed: u64) -> World {
+    let World { config, mut truth } = args.adapted(alone(scenario, args.period), seed);
+    let own = plant(&config, seed);
+    (truth.step_s, truth.encoder_step_m) = (own.step_s, own.encoder_step_m);
+    truth.disk_mass_factor = own.disk_mass_factor;
+    World { config, truth }
+}
+
 pub(crate) fn run(args: &Args, scenarios: &[PathBuf], scales: &[f64], duration: Option<f64>, trace: Option<&Path>) {
     println!("arm                  scale  seed  mean_%  max_% @s  kappa_%  distance_%  rough_%  rate  estimate_%");
     for path in scenarios {
@@ -20,10 +29,7 @@ pub(crate) fn run(args: &Args, scenarios: &[PathBuf], scales: &[f64], duration: 
         for scale in scales {
             each_seed(args, |seed| {
                 let scenario = scaled(&original, *scale);
-                let World { config, mut truth } = args.adapted(alone(&scenario, args.period), seed);
-                let own = plant(&config, seed);
-                (truth.step_s, truth.encoder_step_m) = (own.step_s, own.encoder_step_m);
-                truth.disk_mass_factor = own.disk_mass_factor;
+                let World { config, truth } = world(args, &scenario, seed);
                 let mut file = trace.map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
                 let shown = follow(&config, &truth, &scenario, duration, |bench, now, error| {
                     use std::io::Write;

@@ -92,9 +92,9 @@ enum What {
         /// silent or jumps, ticks are late).
         #[arg(long, value_delimiter = ',', default_value = "stop,sigterm,kill,bus,fault")]
         kinds: Vec<String>,
-        /// Gravity of 9.81 m/s^2 along -z, known to the controller.
+        /// Gravity (m/s^2) along -z, known to the controller, in place of the arm's.
         #[arg(long)]
-        gravity: bool,
+        gravity: Option<f64>,
         /// `safe_hold` of all drives, in place of the configuration's.
         #[arg(long)]
         hold: Option<String>,

@@ -1,6 +1,6 @@
 //! A scenario that is stopped, or cut off, at seeded instants.
 
-use crate::{Args, World, each_seed};
+use crate::{Args, World, arms, each_seed};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::stops::{Ending, stop, trouble};
@@ -10,7 +10,7 @@ use sinew::config::{SafeHold, ScenarioConfig};
 pub struct Stops<'a> {
     pub scenario: &'a str,
     pub kinds: &'a [String],
-    pub gravity: bool,
+    pub gravity: Option<f64>,
     pub hold: Option<&'a str>,
     pub duration_s: Option<f64>,
 }
@@ -18,10 +18,12 @@ pub struct Stops<'a> {
 pub fn run(args: &Args, what: &Stops<'_>) {
     for kind in what.kinds {
         let all = each_seed(args, |seed| {
-            let World { mut config, truth } = args.world(seed);
             let scenario = ScenarioConfig::find(what.scenario).unwrap_or_else(|error| panic!("{error}"));
-            if what.gravity {
-                config.arm.gravity_mps2 = [0.0, 0.0, -9.81];
+            let usual = args.world(seed);
+            let own = scenario.arm.name != usual.config.arm.name;
+            let World { mut config, truth } = if own { arms::world(args, &scenario, seed) } else { usual };
+            if let Some(gravity) = what.gravity {
+                config.arm.gravity_mps2 = [0.0, 0.0, -gravity];
             }
             if let Some(name) = what.hold {
                 let hold = SafeHold::ALL.into_iter().find(|hold| hold.name() == name).expect("hold, rest, ramp, brake");
@@ -37,8 +39,9 @@ pub fn run(args: &Args, what: &Stops<'_>) {
             let shown = stop(&config, &truth, &scenario, at_s, ending, watch_s);
             match &shown {
                 Ok(s) => println!(
-                    "{kind:8} {seed:4} at {at_s:5.1} s: least {:6.1} mm, fastest {:.3} m/s, moved {:6.1} mm, rest {:5.1} s, {:?} {} ({ending:?})",
+                    "{kind:8} {seed:4} at {at_s:5.1} s: least {:6.1} mm ({:.1} standing still), fastest {:.3} m/s, moved {:6.1} mm, rest {:5.1} s, {:?} {} ({ending:?})",
                     1e3 * s.distance_m,
+                    1e3 * s.still_m,
                     s.speed_mps,
                     1e3 * s.moved_m,
                     s.rest_s.unwrap_or(f64::NAN),
@@ -52,14 +55,16 @@ pub fn run(args: &Args, what: &Stops<'_>) {
         let failed = all.iter().filter(|s| s.is_none()).count();
         let all: Vec<_> = all.into_iter().flatten().collect();
         let contacts = all.iter().filter(|s| s.distance_m < 0.0).count();
+        // By its own motion, where an arm that stood still would have had none.
+        let own = all.iter().filter(|s| s.distance_m < 0.0 && s.still_m > 0.0).count();
         let least = all.iter().map(|s| s.distance_m).fold(f64::INFINITY, f64::min);
         let most = |of: &dyn Fn(&sim_plant::stops::Stopped) -> f64| all.iter().map(of).fold(0.0, f64::max);
         let unrested = all.iter().filter(|s| s.rest_s.is_none()).count();
         let mut moved: Vec<f64> = all.iter().map(|s| s.moved_m).collect();
         moved.sort_by(f64::total_cmp);
         println!(
-            "= {kind}, gravity {}: {} runs, {failed} not begun, {contacts} contacts, least {:.1} mm, fastest {:.3} m/s, moved {:.0} / {:.0} mm (median, most), rest within {:.1} s, {unrested} not at rest",
-            what.gravity,
+            "= {kind}, gravity {}: {} runs, {failed} not begun, {contacts} contacts ({own} by the arm's own motion), least {:.1} mm, fastest {:.3} m/s, moved {:.0} / {:.0} mm (median, most), rest within {:.1} s, {unrested} not at rest",
+            what.gravity.map_or("of the arm".to_owned(), |g| format!("{g} m/s^2")),
             all.len(),
             1e3 * least,
             most(&|s| s.speed_mps),

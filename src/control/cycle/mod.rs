@@ -9,6 +9,7 @@ mod motion;
 mod plan;
 mod postures;
 mod report;
+mod stay;
 mod supervise;
 
 use super::budget::{Phase, StopWatch};
@@ -37,6 +38,7 @@ use nalgebra::Vector3;
 use plan::Wanted;
 use postures::Postures;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use stay::Stay;
 
 /// What the cycle needs of a planner, so that a test can put a broken one in its place.
 pub trait Plan {
@@ -140,10 +142,8 @@ pub struct Cycle<E, P = Planner> {
     /// Largest tension of each cable (N).
     maxima_n: Vec<f64>,
     safe: Vec<f64>,
-    /// Tensions that the drums were told in the last moments, without what was swinging (N); at a fault, where they stay.
-    stay: Vec<f64>,
-    /// Share by which a period moves them.
-    stay_share: f64,
+    /// Where cables stay at a fault.
+    stay: Stay,
     release: Ramp,
     zeros: Vec<f64>,
     proposed: Vec<f64>,
@@ -230,8 +230,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             model_rates: vec![0.0; cables],
             maxima_n: settings.arm.tension_maxima_n(),
             safe: vec![settings.safe_tension_n(); cables],
-            stay: vec![0.0; cables],
-            stay_share: period_s / (STAY_LOOKAHEADS * planning.lookahead_s + period_s),
+            stay: Stay::new(&arm, &settings.safe_hold, period_s / (STAY_LOOKAHEADS * planning.lookahead_s + period_s)),
             release: Ramp::new(cables, settings.timing.release_s),
             zeros: vec![0.0; cables],
             proposed: vec![0.0; cables],
@@ -353,7 +352,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             drives = DrivesCommand::On;
         }
         if self.supervisor.mode() != Mode::Faulted {
-            self.remember(self.supervisor.is_planning());
+            self.stay.remember(self.supervisor.is_planning(), &self.commanded);
         }
         self.supervisor.note_limits(limits, inputs.tick, inputs.now_ns);
         deadline.mark(Phase::Guard);
@@ -564,7 +563,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 return None;
             }
             Action::Stay => {
-                self.stay(begin_ns, inputs.now_ns);
+                self.stay(inputs, begin_ns);
                 return None;
             }
             Action::Release => {
@@ -630,7 +629,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     fn ramp_down(&mut self, inputs: &TickInputs<'_>) {
         let begin_ns = inputs.now_ns.saturating_sub(self.period_ns);
         if self.supervisor.is_held() {
-            self.stay(begin_ns, inputs.now_ns);
+            self.stay(inputs, begin_ns);
         } else {
             self.ramp.begin(&self.commanded, begin_ns);
             self.ramp.tensions_into(&self.safe, inputs.now_ns, &mut self.proposed);
@@ -639,23 +638,16 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         self.send(Floor::Zero);
     }
 
-    /// Proposes what each cable is declared to do at a fault: to go to the tension of the last moments without what was
-    /// swinging, or to the safe one.
-    fn stay(&mut self, begin_ns: u64, now_ns: u64) {
+    /// Proposes what each cable is declared to do at a fault, and what drives that fail leave to it.
+    fn stay(&mut self, inputs: &TickInputs<'_>, begin_ns: u64) {
         if !self.ramp.is_begun() {
-            let declared = self.settings.safe_hold.iter().zip(&self.safe);
-            for (stay, (hold, safe)) in self.stay.iter_mut().zip(declared) {
-                *stay = if hold.stays() { *stay } else { *safe };
-            }
-            self.ramp.begin(&self.commanded, begin_ns);
+            self.stay.begin(&self.safe);
         }
-        self.ramp.tensions_into(&self.stay, now_ns, &mut self.proposed);
-    }
-
-    /// What is told while the loop is sound moves where cables stay at a fault.
-    fn remember(&mut self, plans: bool) {
-        let share = if plans { self.stay_share } else { 1.0 };
-        self.stay.iter_mut().zip(&self.commanded).for_each(|(stay, u)| *stay += share * (u - *stay));
+        if self.stay.take_over(inputs.drives.fault, self.settings.arm.tension_n_min, &self.maxima_n) {
+            self.ramp.end();
+        }
+        self.ramp.begin(&self.commanded, begin_ns);
+        self.ramp.tensions_into(self.stay.tensions_n(), inputs.now_ns, &mut self.proposed);
     }
 
     /// Judges `proposed` with what friction takes added, and moves it to `commanded` and `sent`.

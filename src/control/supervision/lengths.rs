@@ -7,7 +7,8 @@
 //! have one such number, which tells that one of them lies but not which.
 //!
 //! The arm's chords are shorter than its curve, by `theta^2/24` of an element that bends by theta, and by how much they are is
-//! known no better than the curve between two disks: so much is borne beside the limit.
+//! known no better than the curve between two disks. All cables of a segment show it alike, and of three cables any one would
+//! explain it, with `1/(1 - P_cc)` times as much: so much is borne beside the limit.
 
 use crate::estimator::CableSpace;
 use crate::model::Arm;
@@ -151,7 +152,8 @@ impl LengthCheck {
             *r -= base;
         }
         let (error, found) = self.worst();
-        let borne_m = self.limit_m + chords_m.max(self.base_chords_m);
+        let own = found.as_ref().map_or(1.0, |f| self.own[usize::from(f.cable)]);
+        let borne_m = self.limit_m + chords_m.max(self.base_chords_m) / own;
         self.evidence = error / borne_m;
         let beyond = found.filter(|_| error > borne_m);
         let cable = beyond.map(|f| f.cable);
