@@ -399,7 +399,7 @@ fn emergency_disturbed() {
 #[test]
 fn sdo_and_nmt_lost_in_operation() {
     let run = tolerates(&["drop:sdo@3-4", "drop:nmt@3-4", "drop:rpdo.1@3-3.01"]);
-    // One request every 0.1 s (`read_back_s`), each object again in its turn, and one frame of torques.
+    // One request at a time, of which each is waited for (`sdo_timeout_s`), and one frame of torques.
     assert_eq!(run.served.disturbed, 11);
 }
 

@@ -45,7 +45,8 @@ pub struct Stopped {
 }
 
 /// Runs a scenario with the arm of `config`, which starts where the scenario does, ends it `at_s` after its path's beginning,
-/// and watches the arm until it rests, `watch_s` at most.
+/// and watches the arm until it rests, `watch_s` at most. `trace` sees the bench, the task's time (s), the tip's speed (m/s) and the
+/// least distance (m) after each tick from that instant on.
 ///
 /// # Errors
 /// The arm does not stand where the scenario starts, its controller does not come to hold it, or the run does not get so far.
@@ -56,6 +57,7 @@ pub fn stop(
     at_s: f64,
     ending: Ending,
     watch_s: f64,
+    mut trace: impl FnMut(&mut Bench, f64, f64, f64),
 ) -> Result<Stopped, String> {
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
@@ -111,10 +113,12 @@ pub fn stop(
         let Some(from) = ended else { continue };
         bench.truth.frames_into(&mut r, &mut t);
         let measured = body.measure(&r, &t, bench.obstacles.now());
-        shown.distance_m = measured.along_arm.iter().copied().fold(shown.distance_m, f64::min);
+        let distance = measured.along_arm.iter().copied().fold(f64::INFINITY, f64::min);
+        shown.distance_m = shown.distance_m.min(distance);
         let measured = body.measure(&still_r, &still_t, bench.obstacles.now());
         shown.still_m = measured.along_arm.iter().copied().fold(shown.still_m, f64::min);
         shown.speed_mps = shown.speed_mps.max(speed);
+        trace(&mut bench, now, speed, distance);
         shown.moved_m = (tip - from).norm();
         shown.mode = output.mode;
         quiet_s = if speed > REST_1PS * config.arm.length_m() { 0.0 } else { quiet_s + h };

@@ -11,7 +11,7 @@ fn ended(ending: Ending, hold: SafeHold) -> Stopped {
     let mut config = Config::builtin();
     config.drives.drives.iter_mut().for_each(|drive| drive.safe_hold = hold);
     let scenario = ScenarioConfig::find("tip").unwrap();
-    stop(&config, &TruthSettings::study(1), &scenario, 3.0, ending, 20.0).expect("it gets so far")
+    stop(&config, &TruthSettings::study(1), &scenario, 3.0, ending, 20.0, |_, _, _, _| ()).expect("it gets so far")
 }
 
 #[test]

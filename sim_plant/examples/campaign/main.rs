@@ -101,6 +101,9 @@ enum What {
         /// Latest instant (s), in place of the scenario's length.
         #[arg(long)]
         duration: Option<f64>,
+        /// A line per tick from the end on, of the last run, to this file.
+        #[arg(long)]
+        trace: Option<PathBuf>,
     },
     /// Balls at an arm that holds.
     Thrown {
@@ -222,9 +225,9 @@ fn main() {
         What::Follow { scenario, duration, trace } => {
             follow::run(&args, scenario, *duration, trace.as_deref());
         }
-        What::Stops { scenario, kinds, gravity, hold, duration } => {
+        What::Stops { scenario, kinds, gravity, hold, duration, trace } => {
             let (gravity, hold, duration_s) = (*gravity, hold.as_deref(), *duration);
-            stops::run(&args, &stops::Stops { scenario, kinds, gravity, hold, duration_s });
+            stops::run(&args, &stops::Stops { scenario, kinds, gravity, hold, duration_s, trace: trace.as_deref() });
         }
         What::Arms { scenarios, scales, duration, trace } => {
             arms::run(&args, scenarios, scales, *duration, trace.as_deref());

@@ -5,6 +5,9 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::stops::{Ending, stop, trouble};
 use sinew::config::{SafeHold, ScenarioConfig};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
 
 /// What is done, and to what.
 pub struct Stops<'a> {
@@ -13,6 +16,7 @@ pub struct Stops<'a> {
     pub gravity: Option<f64>,
     pub hold: Option<&'a str>,
     pub duration_s: Option<f64>,
+    pub trace: Option<&'a Path>,
 }
 
 pub fn run(args: &Args, what: &Stops<'_>) {
@@ -36,7 +40,21 @@ pub fn run(args: &Args, what: &Stops<'_>) {
                 "sigterm" => (Ending::Sigterm, 200.0),
                 kind => (Ending::Trouble(trouble(kind, config.arm.cable_count(), seed).expect("a kind")), 30.0),
             };
-            let shown = stop(&config, &truth, &scenario, at_s, ending, watch_s);
+            let mut file = what.trace.map(|path| {
+                BufWriter::new(File::create(path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
+            });
+            let shown = stop(&config, &truth, &scenario, at_s, ending, watch_s, |bench, now, speed, distance| {
+                let Some(file) = &mut file else { return };
+                let (tip, led) = (bench.truth.tip().position, bench.cycle.governor().reference_tip());
+                let estimate = bench.cycle.estimated_tip();
+                let mode = bench.cycle.mode();
+                write!(file, "{now:.2},{mode:?},{speed:.4},{distance:.5}").unwrap();
+                for v in [tip, led, estimate] {
+                    write!(file, ",{:.5},{:.5},{:.5}", v.x, v.y, v.z).unwrap();
+                }
+                let most = bench.cycle.tensions_n().iter().copied().fold(0.0, f64::max);
+                writeln!(file, ",{most:.2},{}", bench.cycle.governor().is_blocked()).unwrap();
+            });
             match &shown {
                 Ok(s) => println!(
                     "{kind:8} {seed:4} at {at_s:5.1} s: least {:6.1} mm ({:.1} standing still), fastest {:.3} m/s, moved {:6.1} mm, rest {:5.1} s, {:?} {} ({ending:?})",
