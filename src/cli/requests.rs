@@ -1,10 +1,10 @@
 //! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `target`: what an operator asks for.
 
-use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
+use super::client::{ANSWER, Which, not_connected, numbers, say};
 use super::{Outcome, complain};
 use clap::{ArgGroup, Args};
 use sinew::daemon::operator::{OperatorError, Said, Word};
-use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, Target, TargetMode};
+use sinew::ipc::payload::{MAX_SEGMENTS, Target, TargetMode};
 use sinew_hal::peer::user_text;
 
 /// Arguments of a request without any of its own.
@@ -15,46 +15,40 @@ pub(crate) struct Ask {
 }
 
 impl Ask {
-    pub(crate) fn run(&self, kind: RequestKind) -> miette::Result<Outcome> {
-        if let Some(word) = Word::of(kind) {
-            return self.order(word);
-        }
-        let mut client = match self.which.connect()? {
-            Ok(client) => client,
-            Err(error) => return Ok(not_connected(&error)),
-        };
-        match client.ask(kind, ANSWER) {
-            Ok(response) => say(kind.text(), &response),
-            Err(error) => Ok(not_connected(&error)),
-        }
-    }
-}
-
-impl Ask {
-    /// Over the arm's socket, which needs no shared memory.
-    fn order(&self, word: Word) -> miette::Result<Outcome> {
+    /// Over the arm's socket, which needs no shared memory. What only stops goes to every daemon of the arm that is found,
+    /// anything else to one.
+    pub(crate) fn run(&self, word: Word) -> miette::Result<Outcome> {
         let found = self.which.find()?;
-        let all = match found.address.ask_all(word, ANSWER) {
-            Ok(all) => all,
-            Err(error) => return Ok(not_connected(&error)),
+        let all = if word.stops() {
+            match found.address.ask_all(word, ANSWER) {
+                Ok(all) => all,
+                Err(error) => return Ok(not_connected(&error)),
+            }
+        } else {
+            return said(word.text(), found.address.ask(word, ANSWER));
         };
         let several = all.len() > 1;
         let mut outcome = Outcome::Done;
-        for (uid, said) in all {
+        for (uid, one) in all {
             if several {
                 complain(format_args!("sinew: the daemon of user {}:", user_text(uid)));
             }
-            let one = match said {
-                Ok(Said::Answer(answer)) => say(word.text(), &answer.response())?,
-                Ok(Said::Refused(why)) => not_connected(&OperatorError::Refused { why }),
-                Ok(Said::Status(_)) => not_connected(&OperatorError::Refused { why: "not understood".into() }),
-                Err(error) => not_connected(&error),
-            };
+            let one = said(word.text(), one)?;
             if one != Outcome::Done {
                 outcome = one;
             }
         }
         Ok(outcome)
+    }
+}
+
+/// Says what a daemon said.
+fn said(asked: &str, said: Result<Said, OperatorError>) -> miette::Result<Outcome> {
+    match said {
+        Ok(Said::Answer(answer)) => say(asked, &answer.response()),
+        Ok(Said::Refused(why)) => Ok(not_connected(&OperatorError::Refused { why })),
+        Ok(Said::Status(_) | Said::Taken) => Ok(not_connected(&OperatorError::Refused { why: "not understood".into() })),
+        Err(error) => Ok(not_connected(&error)),
     }
 }
 
@@ -70,12 +64,9 @@ pub(crate) struct EmergencyStop {
 
 impl EmergencyStop {
     pub(crate) fn run(&self) -> miette::Result<Outcome> {
-        self.ask.run(if self.release { RequestKind::EmergencyRelease } else { RequestKind::EmergencyStop })
+        self.ask.run(if self.release { Word::EmergencyRelease } else { Word::EmergencyStop })
     }
 }
-
-/// Source id under which this command gives targets.
-const SOURCE_ID: u32 = 0x5157;
 
 /// Arguments of `sinew target`.
 #[derive(Debug, Args)]
@@ -96,25 +87,14 @@ pub(crate) struct TargetArguments {
 
 impl TargetArguments {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
-        let mut target = match self.target() {
+        let target = match self.target() {
             Ok(target) => target,
             Err(why) => {
                 complain(format_args!("sinew target: {why}"));
                 return Ok(Outcome::Unusable);
             }
         };
-        let mut client = match self.which.connect()? {
-            Ok(client) => client,
-            Err(error) => return Ok(not_connected(&error)),
-        };
-        let capture_ns = loop_time_ns(&client)?;
-        target.header = Header::new(SOURCE_ID, 0, capture_ns);
-        let mut request = Request { target, ..Request::new(RequestKind::SetTarget) };
-        request.header.source_id = SOURCE_ID;
-        match client.request(request, ANSWER) {
-            Ok(response) => say("target", &response),
-            Err(error) => Ok(not_connected(&error)),
-        }
+        said("target", self.which.find()?.address.set_target(&target, ANSWER))
     }
 
     fn target(&self) -> Result<Target, String> {

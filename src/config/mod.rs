@@ -11,6 +11,7 @@ mod access;
 mod arm;
 mod arm_file;
 mod builtin;
+mod cable;
 mod check;
 mod computed;
 mod document;
@@ -37,6 +38,7 @@ mod timing;
 mod weights;
 
 pub use access::{ACCESS, AccessConfig, Who};
+pub use cable::{CableName, CableNames};
 pub use arm::*;
 pub use arm_file::ARM;
 pub use builtin::{ARMS, BUILTIN_FILES, SCENARIOS, builtin_texts, simulated_drives};

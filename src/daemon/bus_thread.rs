@@ -5,12 +5,13 @@
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
 use super::drive_causes::{
-    CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
+    CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of,
 };
+use super::drive_faults::Gathered;
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
-use crate::config::{BusConfig, BusKind, Config};
-use crate::control::{DrivesInput, DrivesPhase};
+use crate::config::{BusConfig, BusKind, CableNames, Config};
+use crate::control::{DrivesInput, DrivesPhase, cause_text};
 use crate::ipc::SourcePublisher;
 use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
@@ -105,6 +106,9 @@ pub(crate) struct BusThread {
     emergency_bit: Option<(u8, bool)>,
     /// What drives lack, as it was told last.
     lack: BTreeMap<String, usize>,
+    /// What is wrong with drives, for the log.
+    gathered: Gathered,
+    cables: CableNames,
     /// The bus on which another node was heard under the master's id.
     id_taken_on: Option<usize>,
     /// Whether it lived when it was asked for last, and when that was (ns).
@@ -167,6 +171,8 @@ impl BusThread {
             },
             emergency_bit: config.drives.emergency_stop_bit.map(|bit| (bit, config.drives.emergency_stop_low)),
             lack: BTreeMap::new(),
+            gathered: Gathered::new(config.arm.cable_names()),
+            cables: config.arm.cable_names(),
             id_taken_on: None,
             lives: (false, 0),
             shared,
@@ -187,7 +193,7 @@ impl BusThread {
             let now_ns = monotonic_ns();
             self.listen(now_ns, Duration::ZERO);
             let state = self.master.poll(now_ns);
-            self.note_faults();
+            self.note_faults(now_ns);
             if state.ready == state.drives {
                 break;
             }
@@ -242,13 +248,14 @@ impl BusThread {
             }
             self.statistics(real_ns);
         }
+        self.gathered.due(u64::MAX).iter().for_each(|line| tracing::warn!("{line}"));
     }
 
     /// Real time: the wish, the drives, the state.
     fn follow(&mut self, now_ns: u64) {
         self.obey(now_ns);
         let state = self.master.poll(now_ns);
-        self.note_faults();
+        self.note_faults(now_ns);
         if self.link.is_disarmed() {
             self.retry(now_ns, state.failed);
         }
@@ -476,13 +483,15 @@ impl BusThread {
     }
 
     /// Takes over the master's faults, and says each once.
-    fn note_faults(&mut self) {
+    fn note_faults(&mut self, now_ns: u64) {
+        self.gathered.due(now_ns).iter().for_each(|line| tracing::warn!("{line}"));
         for fault in self.master.take_faults() {
-            tracing::warn!("{fault}");
+            self.gathered.add(now_ns, &fault);
             let memory = &mut self.memory[fault.drive];
             match fault.fault {
+                // What follows the first is its consequence as a rule.
                 Fault::Emergency(e) => {
-                    memory.emergency = Some(u32::from(e.code));
+                    memory.emergency.get_or_insert(u32::from(e.code));
                     // A drive need not go into fault for it, but one that does not get its torques must not be used.
                     if e.code == RPDO_TIMEOUT {
                         memory.sticky = Some(u32::from(e.code));
@@ -622,7 +631,11 @@ impl BusThread {
                 let (bus, node) = self.node_to_drive[usize::from(cable)];
                 match self.id_taken_on {
                     Some(bus) if cause == NODE_ID_TAKEN => format!("bus {bus}: {}", cause_text(cause)),
-                    _ => format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause)),
+                    _ => format!(
+                        "{} (bus {bus}, node {node}): {}",
+                        self.cables.words(usize::from(cable)),
+                        cause_text(cause)
+                    ),
                 }
             }),
         };

@@ -19,6 +19,7 @@ use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
 use sinew_hal::realtime::{self, Report};
 use sinew_hal::wake_latency::WakeLatency;
+use sinew_hal::clock::seconds_to_ns;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, Sender};
@@ -131,7 +132,7 @@ struct Stopping {
 
 impl Stopping {
     fn new(config: &Config) -> Self {
-        Self { since_ns: None, longest_ns: (1e9 * (config.timing.ramp_s + STOP_S)) as u64 }
+        Self { since_ns: None, longest_ns: seconds_to_ns(config.timing.ramp_s + STOP_S) }
     }
 
     fn is_over(&mut self, stop: bool, last: Option<&Ticked>) -> bool {

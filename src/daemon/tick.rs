@@ -7,7 +7,7 @@ use super::obstacles::PairReader;
 use super::records;
 use super::statistics::Branch;
 use super::watch::Watch;
-use crate::config::{Config, LostAction, WarningBranch};
+use crate::config::{Config, LostAction};
 use crate::control::{
     Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand, ObstaclePair,
     Request, Target, TargetInput, TickInputs, Timing,
@@ -19,6 +19,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
 use sinew_hal::motor_bank::MotorBank;
+use sinew_hal::clock::seconds_to_ns;
 
 /// Thresholds of all inputs as the configuration has them.
 ///
@@ -188,14 +189,9 @@ impl<E: Estimator> Controller<E> {
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
             stopping_since_ns: None,
-            stop_timeout_ns: (1e9 * config.timing.stop_timeout_s).round() as u64,
+            stop_timeout_ns: seconds_to_ns(config.timing.stop_timeout_s),
             gave_up: false,
-            warning: match config.planner.warning {
-                WarningBranch::Swarm => PlannerBranch::Swarm,
-                WarningBranch::StandardSwarm => PlannerBranch::StandardSwarm,
-                WarningBranch::Seeded => PlannerBranch::Seeded,
-                WarningBranch::Complementarity => PlannerBranch::Complementarity,
-            },
+            warning: records::warning_branch(config.planner.warning),
             torques: vec![0; cables],
             lengths: vec![f64::NAN; cables],
             measured: vec![f64::NAN; cables],
@@ -260,7 +256,16 @@ impl<E: Estimator> Controller<E> {
             // What lays a recording and the drives' own beside each other.
             let (time_ns, value) = (now_ns, cycle as f64);
             let text = "number of the SYNC of tick 0";
-            self.outputs.event(crate::ipc::Event { time_ns, tick: 0, code: FIRST_SYNC, detail: 0, value, text });
+            self.outputs.event(crate::ipc::Event {
+                time_ns,
+                tick: 0,
+                code: FIRST_SYNC,
+                detail: 0,
+                flags: 0,
+                value,
+                second: f64::NAN,
+                text,
+            });
         }
         self.publish(time);
         let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
@@ -326,7 +331,7 @@ impl<E: Estimator> Controller<E> {
     /// The target at the end of lookahead and lead, where the client has told that much of its path. Beyond it the
     /// cycle extrapolates by the rates.
     fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits) -> Option<TargetSample> {
-        let lead_ns = (1e9 * self.cycle.lead_s()) as u64;
+        let lead_ns = seconds_to_ns(self.cycle.lead_s());
         track.sample(now_ns + lead_ns, limits).filter(|sample| sample.overrun_s <= 0.0)
     }
 
@@ -410,7 +415,7 @@ fn can_come_up(drives: &DrivesInput) -> bool {
 
 /// The loop's period (ns).
 pub(crate) fn period_ns(config: &Config) -> u64 {
-    (1e9 * config.timing.period_s).round() as u64
+    seconds_to_ns(config.timing.period_s)
 }
 
 /// The planner's budget.

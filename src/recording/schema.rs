@@ -3,7 +3,7 @@
 use super::cdr::{Fields, Sink};
 use crate::ipc::Event;
 use crate::ipc::payload::{
-    Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus, SourceHealth,
+    AlarmRecord, Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus, SourceHealth,
     SourceReport, State, SupervisorState, Target, TargetMode, TickTiming,
 };
 
@@ -45,6 +45,20 @@ impl Fields for Node {
     fn visit(&self, sink: &mut impl Sink) {
         sink.array("position_m", &self.position_m);
         sink.array("quaternion", &self.quaternion);
+    }
+}
+
+impl Fields for AlarmRecord {
+    const NAME: &'static str = "AlarmRecord";
+
+    fn sample() -> Self {
+        Self::default()
+    }
+
+    fn visit(&self, sink: &mut impl Sink) {
+        sink.u32("code", self.code);
+        sink.u32("subject", self.subject);
+        sink.u64("since_ns", self.since_ns);
     }
 }
 
@@ -164,6 +178,9 @@ impl Fields for State {
         sink.message("timing", &self.timing);
         sink.u64("limits", self.limits);
         sink.f64("swing_m", self.swing_m);
+        sink.numbers("fault_values", &self.fault_values);
+        sink.u32("fault_flags", self.fault_flags);
+        sink.messages("alarms", first(&self.alarms, self.alarm_count));
     }
 }
 
@@ -243,7 +260,7 @@ impl Fields for Event {
     const NAME: &'static str = "Event";
 
     fn sample() -> Self {
-        Self { time_ns: 0, tick: 0, code: 0, detail: 0, value: 0.0, text: "" }
+        Self { time_ns: 0, tick: 0, code: 0, detail: 0, flags: 0, value: 0.0, second: 0.0, text: "" }
     }
 
     fn visit(&self, sink: &mut impl Sink) {
@@ -251,7 +268,9 @@ impl Fields for Event {
         sink.u64("tick", self.tick);
         sink.u32("code", self.code);
         sink.u32("detail", self.detail);
+        sink.u32("flags", self.flags);
         sink.f64("value", self.value);
+        sink.f64("second", self.second);
         sink.text("text", self.text);
     }
 }

@@ -1,19 +1,25 @@
-//! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own.
+//! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own; and for those whom `[access]`
+//! names, who have no part in the daemon's shared memory, everything else.
 //!
 //! Enters: one line with one word, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
 //! order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend on what an arm is
 //! otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O thread stuck.
+//! `arm`, `track`, `home`, `clear` and `target {...}` go through the I/O thread, as those of shared memory do. After
+//! `publish obstacles ID` or `publish targets ID` follow lines of JSON without end (`lines`).
 //!
 //! The socket is `<run folder>/<arm>/control` for the default domain of shared memory, and has a number behind its name
 //! for any other; [`crate::ipc::run_dir`] tells which folder. Without sinew at hand: `echo stop | nc -UN <socket>`.
 
+mod lines;
 mod server;
+mod streams;
 
 pub(crate) use server::{Desk, OperatorSocket};
 
 use super::status::StatusReport;
-use crate::ipc::payload::{RequestKind, Response};
+use crate::ipc::payload::{Obstacles, RequestKind, Response, Target};
 use crate::ipc::{Domain, IpcError, run_dir};
+use lines::{PointLine, SetLine};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use serde::{Deserialize, Serialize};
 use sinew_hal::peer::{self, user_text};
@@ -39,12 +45,30 @@ pub enum Word {
     EmergencyRelease,
     /// The daemon's report.
     Status,
+    /// Enable the drives and hold the pose.
+    Arm,
+    /// Follow the target.
+    Track,
+    /// Go to the home pose.
+    Home,
+    /// Release a latched fault, forget sources that are gone.
+    Clear,
 }
 
 impl Word {
     /// Every word.
-    pub const ALL: [Self; 6] =
-        [Self::Stop, Self::Hold, Self::Disarm, Self::EmergencyStop, Self::EmergencyRelease, Self::Status];
+    pub const ALL: [Self; 10] = [
+        Self::Stop,
+        Self::Hold,
+        Self::Disarm,
+        Self::EmergencyStop,
+        Self::EmergencyRelease,
+        Self::Status,
+        Self::Arm,
+        Self::Track,
+        Self::Home,
+        Self::Clear,
+    ];
 
     /// As it is sent.
     pub const fn text(self) -> &'static str {
@@ -55,22 +79,20 @@ impl Word {
             Self::EmergencyStop => "emergency-stop",
             Self::EmergencyRelease => "emergency-release",
             Self::Status => "status",
+            Self::Arm => "arm",
+            Self::Track => "track",
+            Self::Home => "home",
+            Self::Clear => "clear",
         }
     }
 
-    /// The word of a request; `None` for those that go over shared memory.
-    pub const fn of(kind: RequestKind) -> Option<Self> {
-        match kind {
-            RequestKind::Stop => Some(Self::Stop),
-            RequestKind::Hold => Some(Self::Hold),
-            RequestKind::Disarm => Some(Self::Disarm),
-            RequestKind::EmergencyStop => Some(Self::EmergencyStop),
-            RequestKind::EmergencyRelease => Some(Self::EmergencyRelease),
-            _ => None,
-        }
+    /// Whether it can only make an arm rest: such an order goes to every daemon that is found.
+    pub const fn stops(self) -> bool {
+        matches!(self, Self::Stop | Self::Hold | Self::Disarm | Self::EmergencyStop)
     }
 
-    const fn request(self) -> Option<RequestKind> {
+    /// The request that it stands for; `None` for the report.
+    pub const fn request(self) -> Option<RequestKind> {
         match self {
             Self::Stop => Some(RequestKind::Stop),
             Self::Hold => Some(RequestKind::Hold),
@@ -78,6 +100,10 @@ impl Word {
             Self::EmergencyStop => Some(RequestKind::EmergencyStop),
             Self::EmergencyRelease => Some(RequestKind::EmergencyRelease),
             Self::Status => None,
+            Self::Arm => Some(RequestKind::Arm),
+            Self::Track => Some(RequestKind::Track),
+            Self::Home => Some(RequestKind::Home),
+            Self::Clear => Some(RequestKind::Clear),
         }
     }
 }
@@ -130,6 +156,8 @@ pub enum Said {
     Answer(Answer),
     /// The answer to `status`.
     Status(Box<StatusReport>),
+    /// What is published is taken.
+    Taken,
 }
 
 /// Nothing was heard of a daemon, or nothing that can be used.
@@ -199,6 +227,7 @@ pub struct Address {
 pub type Heard = (u32, Result<Said, OperatorError>);
 
 /// A daemon that was found.
+#[derive(Debug)]
 struct Line {
     stream: UnixStream,
     path: PathBuf,
@@ -233,8 +262,17 @@ impl Address {
     /// [`OperatorError`] where none is found; what went wrong with one that was found stands in its place.
     pub fn ask_all(&self, word: Word, timeout: Duration) -> Result<Vec<Heard>, OperatorError> {
         let deadline = Instant::now() + timeout;
-        let mut lines = self.find(deadline)?;
-        let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.ask(word)).collect();
+        self.say(self.find(deadline)?, word.text(), timeout, deadline)
+    }
+
+    fn say(
+        &self,
+        mut lines: Vec<Line>,
+        text: &str,
+        timeout: Duration,
+        deadline: Instant,
+    ) -> Result<Vec<Heard>, OperatorError> {
+        let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.say(text)).collect();
         let heard = |(mut line, asked): (Line, io::Result<()>)| {
             let said = asked.and_then(|()| line.read(deadline));
             let failed = |source: io::Error| match source.kind() {
@@ -254,8 +292,36 @@ impl Address {
     /// # Errors
     /// [`OperatorError`].
     pub fn ask(&self, word: Word, timeout: Duration) -> Result<Said, OperatorError> {
-        let mut all = self.ask_all(word, timeout)?;
-        all.swap_remove(0).1
+        self.say_to_one(word.text(), timeout)
+    }
+
+    /// Gives the daemon one target, which is kept until another comes. A capture time of 0 stands for now.
+    ///
+    /// # Errors
+    /// [`OperatorError`].
+    pub fn set_target(&self, target: &Target, timeout: Duration) -> Result<Said, OperatorError> {
+        let line = serde_json::to_string(&PointLine::of(target)).unwrap_or_default();
+        self.say_to_one(&format!("target {line}"), timeout)
+    }
+
+    /// Opens a way to publish obstacles under a source id.
+    ///
+    /// # Errors
+    /// [`OperatorError`].
+    pub fn publisher(&self, source_id: u32, timeout: Duration) -> Result<SocketPublisher, OperatorError> {
+        let mut line = self.find(Instant::now() + timeout)?.swap_remove(0);
+        let path = line.path.clone();
+        let opened = line.say(&format!("publish obstacles {source_id}"));
+        let opened = opened.and_then(|()| line.stream.set_nonblocking(true));
+        opened.map_err(|source| OperatorError::Io { path, source })?;
+        Ok(SocketPublisher { line, text: Vec::new() })
+    }
+
+    fn say_to_one(&self, text: &str, timeout: Duration) -> Result<Said, OperatorError> {
+        let deadline = Instant::now() + timeout;
+        let mut lines = self.find(deadline)?;
+        lines.truncate(1);
+        self.say(lines, text, timeout, deadline)?.swap_remove(0).1
     }
 
     fn path_in(&self, base: &Path) -> PathBuf {
@@ -338,9 +404,9 @@ fn open(path: &Path) -> io::Result<UnixStream> {
 const ANSWER_BYTES_MAX: u64 = 4 << 20;
 
 impl Line {
-    fn ask(&mut self, word: Word) -> io::Result<()> {
+    fn say(&mut self, text: &str) -> io::Result<()> {
         self.stream.set_write_timeout(Some(Duration::from_millis(500)))?;
-        self.stream.write_all(format!("{}\n", word.text()).as_bytes())
+        self.stream.write_all(format!("{text}\n").as_bytes())
     }
 
     /// Reads until the daemon hangs up.
@@ -360,6 +426,57 @@ impl Line {
                 Err(e) => return Err(e),
             }
         }
+    }
+}
+
+/// Publishes one source's obstacles over the socket.
+#[derive(Debug)]
+pub struct SocketPublisher {
+    line: Line,
+    text: Vec<u8>,
+}
+
+impl SocketPublisher {
+    /// Sends a set; its id and number are the connection's. Waits while the daemon has not taken those before.
+    ///
+    /// # Errors
+    /// [`OperatorError::Io`]: the daemon has hung up.
+    pub fn publish(&mut self, set: &Obstacles) -> Result<(), OperatorError> {
+        let mut line = serde_json::to_vec(&SetLine::of(set)).unwrap_or_default();
+        line.push(b'\n');
+        let stream = &mut self.line.stream;
+        let sent = stream.set_nonblocking(false).and_then(|()| stream.write_all(&line));
+        sent.and_then(|()| stream.set_nonblocking(true)).map_err(|source| self.failed(source))
+    }
+
+    /// What the daemon has said since, if it has: taken, or why not. It says what changes.
+    ///
+    /// # Errors
+    /// [`OperatorError::Io`]: the daemon has hung up; [`OperatorError::Garbled`].
+    pub fn heard(&mut self) -> Result<Option<Result<(), String>>, OperatorError> {
+        let mut part = [0; 4096];
+        let ended = match self.line.stream.read(&mut part) {
+            Ok(count) => {
+                self.text.extend_from_slice(&part[..count]);
+                count == 0
+            }
+            Err(e) if [io::ErrorKind::WouldBlock, io::ErrorKind::Interrupted].contains(&e.kind()) => false,
+            Err(source) => return Err(self.failed(source)),
+        };
+        let Some(end) = self.text.iter().position(|byte| *byte == b'\n') else {
+            return if ended { Err(self.failed(io::ErrorKind::UnexpectedEof.into())) } else { Ok(None) };
+        };
+        let line: Vec<u8> = self.text.drain(..=end).collect();
+        match serde_json::from_slice(&line) {
+            Ok(Said::Taken) => Ok(Some(Ok(()))),
+            Ok(Said::Refused(why)) => Ok(Some(Err(why))),
+            Ok(_) => Ok(Some(Err("an answer to something else".into()))),
+            Err(source) => Err(OperatorError::Garbled { path: self.line.path.clone(), source }),
+        }
+    }
+
+    fn failed(&self, source: io::Error) -> OperatorError {
+        OperatorError::Io { path: self.line.path.clone(), source }
     }
 }
 

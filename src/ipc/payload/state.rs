@@ -1,6 +1,6 @@
 //! The full record of a tick.
 
-use super::{Header, MAX_CABLES, MAX_CURVATURES, MAX_NODES, MAX_SOURCES, MAX_TRACKED, REJECT_CAUSES};
+use super::{Header, MAX_ALARMS, MAX_CABLES, MAX_CURVATURES, MAX_NODES, MAX_SOURCES, MAX_TRACKED, REJECT_CAUSES};
 use iceoryx2::prelude::ZeroCopySend;
 
 /// Distance of the arm to one tracked obstacle.
@@ -42,6 +42,19 @@ impl SourceReport {
     pub fn rejected_total(&self) -> u64 {
         self.rejected.iter().sum()
     }
+}
+
+/// An alarm that is on: what is wrong, and since when. Its words go with the code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("sinew.AlarmRecord.v1")]
+pub struct AlarmRecord {
+    /// Code of the fault, of the limit, or [`super::AlarmCode`].
+    pub code: u32,
+    /// What it is about, by code: the fault's detail, a source id, a count of drives.
+    pub subject: u32,
+    /// Time of the tick at which it was seen first (ns).
+    pub since_ns: u64,
 }
 
 /// Where a tick's time went (ns).
@@ -166,6 +179,14 @@ pub struct State {
     pub limits: u64,
     /// Swing of the tip beside its motion that there may be, peak to peak (m).
     pub swing_m: f64,
+    /// Numbers that the latched fault carries, by code; NaN where there is none.
+    pub fault_values: [f64; 2],
+    /// Bit 0: another cable of the segment may be the one of the fault.
+    pub fault_flags: u32,
+    /// Number of alarms.
+    pub alarm_count: u32,
+    /// Alarms that are on, as of a tenth of a second ago at most.
+    pub alarms: [AlarmRecord; MAX_ALARMS],
 }
 
 impl Default for State {
@@ -219,6 +240,10 @@ impl Default for State {
             timing: TickTiming::default(),
             limits: 0,
             swing_m: 0.0,
+            fault_values: [f64::NAN; 2],
+            fault_flags: 0,
+            alarm_count: 0,
+            alarms: [AlarmRecord::default(); MAX_ALARMS],
         }
     }
 }
