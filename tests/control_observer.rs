@@ -174,7 +174,7 @@ fn a_silent_encoder_in_motion_ends_in_a_fault_and_safe_tensions() {
 }
 
 /// Bound on jumps (m), as much tighter than the shipped one as the cables below are slower than what that is made for.
-const JUMP_M: f64 = 4.5e-4;
+const JUMP_M: f64 = 4.2e-4;
 
 /// An arm whose tip moves sideways at 0.1 m/s, with a pause of so many ticks on the way. The error of the estimated tip
 /// (m) just before the pause, and the largest one behind it, from the first tick on that has a reading from behind it.

@@ -109,7 +109,7 @@ fn find(name: &str) -> miette::Result<ArmConfig> {
 /// Bend angle (rad) of each segment under the largest tension of one cable, as a beam of constant curvature.
 fn most_bends(arm: &ArmConfig) -> Vec<f64> {
     let bend = |s: &sinew::config::SegmentConfig| {
-        (s.tension_n_max - arm.tension_n_min) * s.hole_radius_m * s.length_m / s.bending_stiffness_nm2
+        (arm.segment_tension_n_max(s) - arm.tension_n_min) * s.hole_radius_m * s.length_m / s.bending_stiffness_nm2
     };
     arm.segments.iter().map(bend).collect()
 }

@@ -63,8 +63,8 @@ pub struct SegmentConfig {
     pub hole_radius_m: f64,
     /// Angle of each cable's hole from local y towards local z (rad); its length is the number of cables.
     pub hole_angles_rad: Vec<f64>,
-    /// Largest tension of the segment's cables (N), at most the arm's.
-    pub tension_n_max: f64,
+    /// Largest tension of the segment's cables (N), at most the arm's; `None` for the arm's.
+    pub tension_n_max: Option<f64>,
 }
 
 /// Load at the tip.
@@ -145,14 +145,19 @@ impl ArmConfig {
             segment.connector_mass_kg *= s.powi(3);
             segment.bending_stiffness_nm2 *= s.powi(6);
             segment.torsional_stiffness_nm2 *= s.powi(6);
-            segment.tension_n_max *= s.powi(4);
+            segment.tension_n_max = segment.tension_n_max.map(|n| n * s.powi(4));
         }
         arm
     }
 
+    /// Largest tension of a segment's cables (N).
+    pub fn segment_tension_n_max(&self, segment: &SegmentConfig) -> f64 {
+        segment.tension_n_max.unwrap_or(self.tension_n_max)
+    }
+
     /// Largest tension of each cable (N), segment by segment.
     pub fn tension_maxima_n(&self) -> Vec<f64> {
-        let segment = |s: &SegmentConfig| std::iter::repeat_n(s.tension_n_max, s.hole_angles_rad.len());
+        let segment = |s: &SegmentConfig| std::iter::repeat_n(self.segment_tension_n_max(s), s.hole_angles_rad.len());
         self.segments.iter().flat_map(segment).collect()
     }
 

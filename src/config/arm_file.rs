@@ -313,9 +313,9 @@ fn segment(section: &Section<'_>, last: bool, low_n: f64, high_n: f64) -> Segmen
         connector_mass_kg: connector("connector_mass_kg"),
         hole_radius_m: section.float("hole_radius_m"),
         hole_angles_rad: hole_angles(section),
-        tension_n_max: section.float_opt("tension_n_max").unwrap_or(high_n),
+        tension_n_max: section.float_opt("tension_n_max"),
     };
-    if !(config.tension_n_max > low_n && config.tension_n_max <= high_n) && section.is_clean() {
+    if !config.tension_n_max.is_none_or(|n| n > low_n && n <= high_n) && section.is_clean() {
         let help = format!("permitted: > {low_n} N (`tension_n_min`) and <= {high_n} N (`tension_n_max` of the arm)");
         section.refuse("tension_n_max", "outside the arm's tension box", &help);
     }

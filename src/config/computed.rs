@@ -51,6 +51,12 @@ impl Config {
         add("guard.encoder_stuck_motion_m", self.guard.encoder_stuck_motion_m, "m");
         add("guard.encoder_silent_s", self.guard.encoder_silent_s, "s");
         add("guard.box_tolerance_n", self.guard.box_tolerance_n, "N");
+        let s = &self.supervision;
+        add("supervision.tip_speed_mps", s.tip_speed_mps, "m/s");
+        add("supervision.bend_rate_radps", s.bend_rate_radps, "rad/s");
+        add("supervision.swing_m", s.swing_m, "m");
+        add("supervision.tension_error_n", s.tension_error_n, "N");
+        add("supervision.length_error_m", s.length_error_m, "m");
         add("obstacles.growth_mps", self.obstacles.growth_mps, "m/s");
         add("obstacles.growth_m_max", self.obstacles.growth_m_max, "m");
         add("friction.speed_mps", self.friction.speed_mps, "m/s");

@@ -505,7 +505,7 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: Option<f64>) 
             table.refuse("buses", message, "permitted: node ids 1 to 127; use more buses or lower `first_node_id`");
         }
         let drive = drive(section, segment, cable, bus, node);
-        let own = arm.segments.get(segment.wrapping_sub(1)).map_or(arm.tension_n_max, |s| s.tension_n_max);
+        let own = arm.segments.get(segment.wrapping_sub(1)).map_or(arm.tension_n_max, |s| arm.segment_tension_n_max(s));
         check_torque(section, own, &drive);
         drives.push(drive);
     }

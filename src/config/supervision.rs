@@ -2,6 +2,7 @@
 
 use super::arm::ArmConfig;
 use super::reader::Section;
+use super::scale::Scale;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
@@ -84,8 +85,10 @@ impl SupervisionConfig {
     }
 }
 
-/// Defaults over the arm's length (1/s; 1) and over the range of its tensions.
-const TIP_SPEED_1PS: f64 = 0.25;
+/// Defaults: a speed over length and first angular frequency, a rate over that frequency, lengths over the arm's, a tension
+/// over the range of tensions.
+const TIP_SPEED: f64 = 0.319;
+const BEND_RATE: f64 = 3.83;
 const SWING: f64 = 0.0085;
 const LENGTH_ERROR: f64 = 3e-4;
 const TENSION_ERROR: f64 = 0.05;
@@ -98,22 +101,22 @@ const ANSWER: Kind = Kind::Choice(&SupervisionAnswer::NAMES);
 pub static SUPERVISION: TableSpec = TableSpec {
     header: "[supervision]",
     name: "supervision",
-    about: "What the arm is watched for while it holds or moves. Each has a limit and an answer: \"warn\" says it (record, alarm, log), \"slow\" also lets the reference move at a quarter of its pace, \"hold\" leaves the target, \"stop\" is a fault. L is the arm's length.",
+    about: "What the arm is watched for while it holds or moves. Each has a limit and an answer: \"warn\" says it (record, alarm, log), \"slow\" also lets the reference move at a quarter of its pace, \"hold\" leaves the target, \"stop\" is a fault. L is the arm's length, omega the first angular frequency of the straight arm.",
     keys: &[
         Key::optional(
             "tip_speed_mps",
             LENGTH,
             "m/s",
-            "0.25 L per second",
+            "0.319 L omega",
             "Speed of the tip; the reference has `governor.speed_mps`, evasion and swinging come on top.",
         ),
         Key::default("tip_speed_answer", ANSWER, "", "\"stop\"", "The answer to more."),
-        Key::default(
+        Key::optional(
             "bend_rate_radps",
-            Kind::Float(Range::above(0.0, 100.0)),
+            Kind::Float(Range::above(0.0, 1e3)),
             "rad/s",
-            "3.0",
-            "Rate of a segment's bend angle; more than `governor.evasion_radps`.",
+            "3.83 omega",
+            "Rate of a segment's bend angle.",
         ),
         Key::default("bend_rate_answer", ANSWER, "", "\"stop\"", "The answer to more."),
         Key::default("motion_time_s", TIME, "s", "0.05", "Time for which speed or rate must be exceeded."),
@@ -168,12 +171,13 @@ pub static SUPERVISION: TableSpec = TableSpec {
 
 /// Reads `[supervision]` for an arm, a period of the loop (s) and the coarsest step of a tension on the wire (N).
 pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, period_s: f64, step_n: f64) -> SupervisionConfig {
-    let length_m = arm.length_m();
+    let scale = Scale::of(arm);
+    let length_m = scale.length_m;
     let range_n = arm.tension_n_max - arm.tension_n_min;
     let config = SupervisionConfig {
-        tip_speed_mps: table.float_opt("tip_speed_mps").unwrap_or(TIP_SPEED_1PS * length_m),
+        tip_speed_mps: table.float_opt("tip_speed_mps").unwrap_or(TIP_SPEED * length_m * scale.omega_radps),
         tip_speed_answer: SupervisionAnswer::read(table, "tip_speed_answer"),
-        bend_rate_radps: table.float("bend_rate_radps"),
+        bend_rate_radps: table.float_opt("bend_rate_radps").unwrap_or(BEND_RATE * scale.omega_radps),
         bend_rate_answer: SupervisionAnswer::read(table, "bend_rate_answer"),
         motion_time_s: table.float("motion_time_s"),
         swing_m: table.float_opt("swing_m").unwrap_or(SWING * length_m),

@@ -136,7 +136,7 @@ impl Governor {
         let tension_n = config.tension_n_min;
         let inverse = InverseSettings { attitude_length_m: settings.attitude_length_m, ..InverseSettings::default() };
         let tension_range_n: Vec<f64> =
-            config.segments.iter().map(|s| s.tension_n_max - config.tension_n_min).collect();
+            config.segments.iter().map(|s| config.segment_tension_n_max(s) - config.tension_n_min).collect();
         let around = ReferenceSettings {
             clearance_m: planner.clearance_m + AHEAD_OF_PLANNER * config.length_m(),
             approach_1ps: settings.approach_1ps,

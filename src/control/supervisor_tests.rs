@@ -242,13 +242,14 @@ fn a_start_that_is_done_becomes_a_hold_and_one_that_is_not_stays() {
 
 #[test]
 fn a_start_that_takes_too_long_is_a_fault_by_what_is_missing() {
+    let end_ns = SECOND + seconds_to_ns(crate::config::Config::builtin().observer.settle_timeout_s);
     for (progress, code) in
         [(Progress::Drives, 12), (Progress::Encoder(5, 0.2), 20), (Progress::Tensions, 32), (Progress::Settling, 32)]
     {
         let mut s = in_mode(Mode::Starting);
-        s.step(&Observed { progress, now_ns: 21 * SECOND, ..well() });
-        assert_eq!(s.mode(), Mode::Starting, "20 s after the start there is still time");
-        s.step(&Observed { progress, now_ns: 21 * SECOND + 1, ..well() });
+        s.step(&Observed { progress, now_ns: end_ns, ..well() });
+        assert_eq!(s.mode(), Mode::Starting, "there is still time");
+        s.step(&Observed { progress, now_ns: end_ns + 1, ..well() });
         assert_eq!(s.mode(), Mode::Faulted);
         assert_eq!(s.latch().first.unwrap().fault.code(), code, "{progress:?}");
     }

@@ -26,12 +26,12 @@ pub enum StartError {
     Statics(#[from] StaticsError),
 }
 
-/// A weight that makes the pose a constraint: over the largest tension's square and the arm's length, 1.5e9 leaves about 4e-9
+/// A weight that makes the pose a constraint: over the largest tension's square and the arm's length, it leaves about 4e-9
 /// of the length.
-const POSE_WEIGHT: f64 = 1.5e9;
+const POSE_WEIGHT: f64 = 1e13 / 6400.0;
 /// Largest error of the position over the arm's length, and change of a tension over the largest, where it has ended.
 const POSITION: f64 = 4e-7;
-const TENSION: f64 = 1e-9;
+const TENSION: f64 = 1e-7 / 220.0;
 const ITERATIONS_MAX: usize = 400;
 
 /// Finds tensions and state from the guess in `state`, which chooses among the arm's branches. Allocates.

@@ -244,7 +244,10 @@ impl Reference {
             self.bound_motion(h);
         } else {
             for (i, length) in self.length.iter().enumerate() {
-                (self.low[i], self.high[i]) = (-FREE_RAD * self.settings.approach_1ps * h / length, FREE_RAD * self.settings.approach_1ps * h / length);
+                (self.low[i], self.high[i]) = (
+                    -FREE_RAD * self.settings.approach_1ps * h / length,
+                    FREE_RAD * self.settings.approach_1ps * h / length,
+                );
             }
         }
         if wanted.tip.is_some() {
@@ -376,7 +379,8 @@ impl Reference {
         let grown = |k: usize, now: &Obstacle| self.growth.get(k).map_or(0.0, |before| (now.growth() - before) / h);
         let sets = around.now.as_slice().iter().zip(around.ahead.as_slice()).enumerate();
         sets.map(|(k, (now, ahead))| {
-            (ahead.position() - now.position()).norm() / around.span_s + grown(k, now).clamp(0.0, GROWTH_MAX_1PS * self.settings.reach_m)
+            (ahead.position() - now.position()).norm() / around.span_s
+                + grown(k, now).clamp(0.0, GROWTH_MAX_1PS * self.settings.reach_m)
         })
         .fold(0.0, f64::max)
     }

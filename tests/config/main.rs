@@ -70,7 +70,7 @@ fn the_built_in_arm_is_the_papers() {
         connector_mass_kg: 0.0,
         hole_radius_m: 0.05,
         hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
-        tension_n_max: 220.0,
+        tension_n_max: None,
     };
     let expected = ArmConfig {
         name: "paper".into(),

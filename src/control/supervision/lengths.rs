@@ -5,6 +5,9 @@
 //! wrong tension changes it, for it is geometry alone. An error `delta` of cable `c` leaves `r_c = (1 - P_cc) delta` there and
 //! less at every other cable, so the cable names itself: `delta = r_c / (1 - P_cc)` explains most of `|r|^2`. Three cables
 //! have one such number, which tells that one of them lies but not which.
+//!
+//! The arm's chords are shorter than its curve, by `theta^2/24` of an element that bends by theta, and by how much they are is
+//! known no better than the curve between two disks: so much is borne beside the limit.
 
 use crate::estimator::CableSpace;
 use crate::model::Arm;
@@ -46,6 +49,8 @@ pub struct LengthCheck {
     segments: Vec<(usize, usize)>,
     limit_m: f64,
     straight_m: Vec<f64>,
+    /// Length and number of elements of each segment.
+    elements: Vec<(f64, f64)>,
     difference: Vec<f64>,
     zeros: Vec<f64>,
     angles: Vec<f64>,
@@ -54,6 +59,7 @@ pub struct LengthCheck {
     started: bool,
     base_residual: Vec<f64>,
     base_m: Vec<f64>,
+    base_chords_m: f64,
     /// Newest reading of each cable (m), and for how long it has been the same (s).
     last_m: Vec<f64>,
     still_s: Vec<f64>,
@@ -83,7 +89,13 @@ impl LengthCheck {
             started: false,
             base_residual: vec![0.0; cables],
             base_m: straight_m.clone(),
+            base_chords_m: 0.0,
             straight_m,
+            elements: arm
+                .segment_elements
+                .iter()
+                .map(|e| (e.clone().map(|e| arm.elements[e].length).sum(), e.len() as f64))
+                .collect(),
             last_m: vec![f64::NAN; cables],
             still_s: vec![0.0; cables],
             suspect: None,
@@ -120,8 +132,10 @@ impl LengthCheck {
             let bent: f64 = self.space.lever(c).iter().zip(&self.angles).map(|(j, a)| j * a).sum();
             self.residual[c] = self.difference[c] - bent;
         }
+        let chords_m = self.chords_m(model_m);
         if !self.started {
             self.started = true;
+            self.base_chords_m = 0.0;
             self.base_residual.fill(0.0);
             self.base_m.copy_from_slice(&self.straight_m);
             // Such an error is no reference that is a little off: it counts from the straight arm on.
@@ -129,14 +143,16 @@ impl LengthCheck {
             if error < START_SHARE * self.limit_m {
                 self.base_residual.copy_from_slice(&self.residual);
                 self.base_m.copy_from_slice(lengths_m);
+                self.base_chords_m = chords_m;
             }
         }
         for (r, base) in self.residual.iter_mut().zip(&self.base_residual) {
             *r -= base;
         }
         let (error, found) = self.worst();
-        self.evidence = error / self.limit_m;
-        let beyond = found.filter(|_| error > self.limit_m);
+        let borne_m = self.limit_m + chords_m.max(self.base_chords_m);
+        self.evidence = error / borne_m;
+        let beyond = found.filter(|_| error > borne_m);
         let cable = beyond.map(|f| f.cable);
         self.lasted_s = if cable.is_some() && cable == self.suspect { self.lasted_s + h } else { 0.0 };
         self.suspect = cable;
@@ -151,6 +167,16 @@ impl LengthCheck {
         // Less motion than the limit tells no factor.
         found.factor = if moved.abs() > self.limit_m { shown / moved } else { f64::NAN };
         Some(found)
+    }
+
+    /// By how much the chords of the bent arm are shorter than its curve (m), all segments together.
+    fn chords_m(&mut self, model_m: &[f64]) -> f64 {
+        for ((d, l), straight) in self.difference.iter_mut().zip(model_m).zip(&self.straight_m) {
+            *d = l - straight;
+        }
+        self.space.angles_into(&self.difference, &self.zeros, &mut self.angles);
+        let of = |(&(length, n), a): (&(f64, f64), &[f64])| length * (a[0] * a[0] + a[1] * a[1]) / (24.0 * n * n);
+        self.elements.iter().zip(self.angles.chunks_exact(2)).map(of).sum()
     }
 
     /// The cable with the largest error that explains what no bend explains, and that error (m).

@@ -75,8 +75,8 @@ pub struct Supervision {
     settings: SupervisionConfig,
     /// Length of the segment of each curvature (m).
     length_m: Vec<f64>,
-    /// A tension from here on is saturated (N).
-    saturated_n: f64,
+    /// Each cable's tension from which on it is saturated (N).
+    saturated_n: Vec<f64>,
     speeding_s: f64,
     bending_s: f64,
     saturated_s: Vec<f64>,
@@ -102,7 +102,7 @@ impl Supervision {
         Self {
             settings: *settings,
             length_m: config.segments.iter().flat_map(|s| [s.length_m; 2]).collect(),
-            saturated_n: config.tension_n_max - SATURATED * range_n,
+            saturated_n: config.tension_maxima_n().iter().map(|n| n - SATURATED * range_n).collect(),
             speeding_s: 0.0,
             bending_s: 0.0,
             saturated_s: vec![0.0; cables],
@@ -156,8 +156,9 @@ impl Supervision {
         if self.swing_m > s.swing_m {
             verdict.answer(s.swing_answer, Limit::Swinging, Fault::Swinging { swing_m: self.swing_m }, faults);
         }
-        for (cable, (since_s, u)) in self.saturated_s.iter_mut().zip(seen.commanded_n).enumerate() {
-            if lasts(since_s, *u >= self.saturated_n) > s.saturation_s {
+        let commanded = seen.commanded_n.iter().zip(&self.saturated_n);
+        for (cable, (since_s, (u, most))) in self.saturated_s.iter_mut().zip(commanded).enumerate() {
+            if lasts(since_s, u >= most) > s.saturation_s {
                 let fault = Fault::Saturated { cable: cable as u16, time_s: *since_s };
                 verdict.answer(s.saturation_answer, Limit::Saturated, fault, faults);
             }

@@ -27,7 +27,7 @@ const STRICT_M: f64 = 1e-9;
 /// A correction of q beyond this (m, 1) ends the step: the iteration has left the arm. NaN does, too.
 const DIVERGED: f64 = 1e3;
 /// Beyond the warning distance a pair is still watched within this share of the arm's length: no step moves a point farther.
-const REACH: f64 = 0.018;
+const REACH: f64 = 0.05 / 2.75;
 
 /// What one planning step works from.
 #[derive(Debug, Clone, Copy)]
