@@ -289,7 +289,8 @@ fn a_terminal_without_a_width_gets_whole_words() {
     for (arguments, whole) in [(&check[..], "shared memory"), (&["check", "--config", &bad], "unknown key")] {
         let words: Vec<String> = arguments.iter().map(|word| format!("'{word}'")).collect();
         let script = format!("stty cols 0 rows 0; {} {}", env!("CARGO_BIN_EXE_sinew"), words.join(" "));
-        let Ok(output) = Command::new("script").args(["-qec", &script, "/dev/null"]).stdin(Stdio::null()).output() else {
+        let Ok(output) = Command::new("script").args(["-qec", &script, "/dev/null"]).stdin(Stdio::null()).output()
+        else {
             return eprintln!("not tested: there is no `script`");
         };
         let said = text(&output.stdout);

@@ -35,9 +35,11 @@ impl Which {
     pub(crate) fn find(&self) -> miette::Result<Found> {
         if self.config.is_empty() {
             let (domain, arm) = (Domain::from_env(), self.arm.clone());
+            domain.check().into_diagnostic()?;
             return Ok(Found { address: Address::new(&domain, &arm, None), domain, arm });
         }
         let config = Config::load(&self.config)?;
+        daemon::domain(&config).check().into_diagnostic()?;
         Ok(Found { address: daemon::address(&config), domain: daemon::domain(&config), arm: config.ipc.arm })
     }
 

@@ -2,10 +2,7 @@
 
 use sinew::config::Task;
 use sinew::daemon::{plan_into, warning_branch};
-use sinew::ipc::payload::{
-    MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, State, Target,
-    TargetMode,
-};
+use sinew::ipc::payload::{MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, State, Target, TargetMode};
 use sinew::planner::Goal;
 use sinew::recording::{Recording, RecordingError};
 use sinew::report::tip_error;

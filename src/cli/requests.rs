@@ -47,7 +47,9 @@ fn said(asked: &str, said: Result<Said, OperatorError>) -> miette::Result<Outcom
     match said {
         Ok(Said::Answer(answer)) => say(asked, &answer.response()),
         Ok(Said::Refused(why)) => Ok(not_connected(&OperatorError::Refused { why })),
-        Ok(Said::Status(_) | Said::Taken) => Ok(not_connected(&OperatorError::Refused { why: "not understood".into() })),
+        Ok(Said::Status(_) | Said::Taken) => {
+            Ok(not_connected(&OperatorError::Refused { why: "not understood".into() }))
+        }
         Err(error) => Ok(not_connected(&error)),
     }
 }

@@ -38,10 +38,10 @@ mod timing;
 mod weights;
 
 pub use access::{ACCESS, AccessConfig, Who};
-pub use cable::{CableName, CableNames};
 pub use arm::*;
 pub use arm_file::ARM;
 pub use builtin::{ARMS, BUILTIN_FILES, SCENARIOS, builtin_texts, simulated_drives};
+pub use cable::{CableName, CableNames};
 pub use check::SummaryLine;
 pub use drives::{
     BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX, Protection, SIMULATED_DRIVE,

@@ -143,7 +143,13 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
         list.push(alarm(id, "drives", what, "nothing; it is accepted (`drives.accept_without`)", "other drives"));
     }
     for refused in seen.realtime_refused {
-        list.push(alarm((AlarmCode::RealTime.wire(), 0), REAL_TIME, refused.clone(), "deadlines may be missed", "grant it and start anew"));
+        list.push(alarm(
+            (AlarmCode::RealTime.wire(), 0),
+            REAL_TIME,
+            refused.clone(),
+            "deadlines may be missed",
+            "grant it and start anew",
+        ));
     }
     if seen.recording_failed {
         let clears = "make room, and start anew; the log has the cause";

@@ -257,7 +257,8 @@ impl Daemon {
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.operator = Some(spawn("sinew-operator", below(3), {
-            let (progress, desk) = (progress.clone(), Desk::new(socket, direct, asks_status, config.obstacles.required.clone()));
+            let (progress, desk) =
+                (progress.clone(), Desk::new(socket, direct, asks_status, config.obstacles.required.clone()));
             move || desk.run(&progress.operator_stop)
         })?);
         daemon.io = Some(spawn("sinew-io", below(2), {

@@ -9,7 +9,9 @@ use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::config::CableNames;
 use crate::control::Fault;
-use crate::ipc::payload::{AlarmRecord, ObstacleDistance, RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use crate::ipc::payload::{
+    AlarmRecord, ObstacleDistance, RejectCause, SourceHealth, SourceReport, State, SupervisorState,
+};
 use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
 use sinew_hal::clock::seconds_to_ns;

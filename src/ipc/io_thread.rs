@@ -5,8 +5,8 @@ use super::by_socket::{BySocket, SocketPort, ToSocket};
 use super::channels::{Command, Event, IoEnds, Reply};
 use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
 use super::payload::{
-    Header, Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State, SupervisorState,
-    Target, Verdict,
+    Header, Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State,
+    SupervisorState, Target, Verdict,
 };
 use super::ports::{DaemonPorts, OpenRequest};
 use sinew_hal::clock::Naps;

@@ -3,8 +3,8 @@
 use super::cdr::{Fields, Sink};
 use crate::ipc::Event;
 use crate::ipc::payload::{
-    AlarmRecord, Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus, SourceHealth,
-    SourceReport, State, SupervisorState, Target, TargetMode, TickTiming,
+    AlarmRecord, Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus,
+    SourceHealth, SourceReport, State, SupervisorState, Target, TargetMode, TickTiming,
 };
 
 macro_rules! constants {

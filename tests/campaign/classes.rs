@@ -154,10 +154,16 @@ pub static CLASSES: &[Class] = &[
         stranger_script(t, "for i in 1 2 3 4 5 6 7 8; do timeout 1 sh -c 'while :; do :; done' & done");
     }),
     by_root("stranger gives a target", Expect::GoesOn, |t| {
-        stranger_script(t, "\"$SINEW\" target --pose 1,0,-1,1,0,0,0; echo 'target {\"position_m\":[1,0,0],\"quaternion\":[1,0,0,0]}' | talk");
+        stranger_script(
+            t,
+            "\"$SINEW\" target --pose 1,0,-1,1,0,0,0; echo 'target {\"position_m\":[1,0,0],\"quaternion\":[1,0,0,0]}' | talk",
+        );
     }),
     by_root("stranger publishes over the socket", Expect::GoesOn, |t| {
-        stranger_script(t, "for w in 'obstacles 181' 'obstacles 77' 'targets 12'; do printf 'publish %s\\n{}\\n{}\\n' \"$w\" | talk; done");
+        stranger_script(
+            t,
+            "for w in 'obstacles 181' 'obstacles 77' 'targets 12'; do printf 'publish %s\\n{}\\n{}\\n' \"$w\" | talk; done",
+        );
     }),
     by_root("stranger presses the emergency stop", Expect::GoesOn, |t| {
         strangers(t, &["emergency-stop", "clear", "home", "disarm"]);
@@ -166,7 +172,10 @@ pub static CLASSES: &[Class] = &[
         stranger_script(t, "for i in $(seq 60); do (sleep 1 | talk) & done; wait");
     }),
     by_root("stranger sends rubbish", Expect::GoesOn, |t| {
-        stranger_script(t, "for i in $(seq 10); do head -c 300000 /dev/urandom | talk; yes stop | head -c 200000 | talk; done");
+        stranger_script(
+            t,
+            "for i in $(seq 10); do head -c 300000 /dev/urandom | talk; yes stop | head -c 200000 | talk; done",
+        );
     }),
     by_root("stranger runs a daemon of the same arm", Expect::GoesOn, |t| {
         stranger_script(t, "timeout 2 \"$SINEW\" run");
@@ -196,7 +205,10 @@ pub static CLASSES: &[Class] = &[
         );
     }),
     by_root("stranger with a domain of his own", Expect::GoesOn, |t| {
-        stranger_script(t, "export SINEW_IPC_PREFIX=$PREFIX SINEW_IPC_ROOT=/tmp/stranger-$DAEMON/; \"$SINEW\" obstacles list; rm -rf /tmp/stranger-$DAEMON");
+        stranger_script(
+            t,
+            "export SINEW_IPC_PREFIX=$PREFIX SINEW_IPC_ROOT=/tmp/stranger-$DAEMON/; \"$SINEW\" obstacles list; rm -rf /tmp/stranger-$DAEMON",
+        );
     }),
     by_root("stranger kills and stops clients", Expect::GoesOn, |t| {
         stranger_script(t, "for p in $(ls /proc | grep '^[0-9]*$'); do kill -STOP $p; kill -KILL $p; done");

@@ -698,7 +698,10 @@ fn who_may_stop_and_see_is_users_and_groups_and_else_the_daemons_own_group() {
     assert_eq!((access.stop.as_deref(), access.see.as_deref()), (Some(&expected[..]), Some(&[][..])));
     let default = changed("drives.toml", "[drives]\n", "[drives]\n").unwrap().access;
     assert_eq!((&default.stop, &default.see), (&None, &None));
-    expect(with_table("[access]\nstop = [\"@\"]"), &["drives.toml:", "`access.stop`", "a user or group without a name"]);
+    expect(
+        with_table("[access]\nstop = [\"@\"]"),
+        &["drives.toml:", "`access.stop`", "a user or group without a name"],
+    );
     let named = with_table("[access]\ncommand = [\"4\"]\npublish = [\"@cameras\", \"5=7\"]").unwrap().access;
     assert_eq!(named.command, [Who::User("4".into())]);
     assert_eq!(named.publish, [(Who::Group("cameras".into()), None), (Who::User("5".into()), Some(7))]);

@@ -507,7 +507,12 @@ mod tests {
         // Laid beside each other a tick off.
         let (records, truths) = recordings();
         assert!(aligned(101, &records, &truths, |_, n| n, false, &names()).is_err());
-        assert!(aligned(101, &records, &truths, |_, n| n, true, &names()).unwrap_err().to_string().contains("less than half"));
+        assert!(
+            aligned(101, &records, &truths, |_, n| n, true, &names())
+                .unwrap_err()
+                .to_string()
+                .contains("less than half")
+        );
     }
 
     #[test]

@@ -3,9 +3,7 @@
 //! Names, shapes and units are those of the payloads of shared memory (`src/ipc/PAYLOADS.md`); what a line leaves out has
 //! its default there. Without `capture_ns` the content is as old as the moment at which the daemon takes it.
 
-use crate::ipc::payload::{
-    FLAG_LEAVING, Header, NO_TICK, Obstacle, ObstacleKind, Obstacles, Target, TargetMode,
-};
+use crate::ipc::payload::{FLAG_LEAVING, Header, NO_TICK, Obstacle, ObstacleKind, Obstacles, Target, TargetMode};
 use serde::{Deserialize, Serialize};
 
 /// A set of obstacles.
@@ -204,7 +202,8 @@ mod tests {
 
     #[test]
     fn an_empty_line_is_an_empty_set_and_what_is_wrong_is_named() {
-        let set = |text: &str| serde_json::from_str::<SetLine>(text).map_err(|e| e.to_string()).and_then(|l| l.set(1, 0));
+        let set =
+            |text: &str| serde_json::from_str::<SetLine>(text).map_err(|e| e.to_string()).and_then(|l| l.set(1, 0));
         assert_eq!(set("{}").unwrap().count, 0);
         let ball = |kind: &str| format!(r#"{{"id":1,"kind":"{kind}","position_m":[0,0,0],"dimensions_m":[1,0,0]}}"#);
         assert!(set(&format!(r#"{{"obstacles":[{}]}}"#, ball("bal"))).unwrap_err().contains("kind: \"bal\""));

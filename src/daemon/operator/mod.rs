@@ -272,9 +272,14 @@ impl Address {
         timeout: Duration,
         deadline: Instant,
     ) -> Result<Vec<Heard>, OperatorError> {
+        // Where the order could not be said, an answer may be there all the same: a refusal.
         let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.say(text)).collect();
         let heard = |(mut line, asked): (Line, io::Result<()>)| {
-            let said = asked.and_then(|()| line.read(deadline));
+            let said = match (asked, line.read(deadline)) {
+                (Err(source), Ok(text)) if text.is_empty() => Err(source),
+                (Err(source), Err(_)) => Err(source),
+                (_, read) => read,
+            };
             let failed = |source: io::Error| match source.kind() {
                 io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
                     OperatorError::Timeout { arm: self.arm.clone(), timeout_s: timeout.as_secs_f64() }
@@ -423,6 +428,8 @@ impl Line {
                 Ok(0) => return Ok(text),
                 Ok(count) => text.extend_from_slice(&part[..count]),
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                // It has answered before it had read all: who may ask for nothing is not listened to.
+                Err(e) if e.kind() == io::ErrorKind::ConnectionReset && !text.is_empty() => return Ok(text),
                 Err(e) => return Err(e),
             }
         }

@@ -462,7 +462,10 @@ impl Order {
         });
         published.ok_or_else(|| {
             let words: Vec<&str> = Word::ALL.iter().map(|word| word.text()).collect();
-            format!("expected a line with one of {}, target {{...}}, publish obstacles ID, publish targets ID", words.join(", "))
+            format!(
+                "expected a line with one of {}, target {{...}}, publish obstacles ID, publish targets ID",
+                words.join(", ")
+            )
         })
     }
 }

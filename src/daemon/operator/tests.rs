@@ -2,7 +2,7 @@ use super::server::{Desk, OperatorSocket};
 use super::*;
 use crate::config::{AccessConfig, Who};
 use crate::daemon::DaemonError;
-use crate::ipc::payload::{Obstacle, RejectCause, RefusalReason, SupervisorState};
+use crate::ipc::payload::{Obstacle, RefusalReason, RejectCause, SupervisorState};
 use crate::ipc::{BySocket, ChannelCapacity, ControlInputs, ControlOutputs, IoEnds, Reply, ToSocket, channels};
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
@@ -132,7 +132,8 @@ fn a_report_is_made_by_somebody_else_and_orders_do_not_wait_for_it() {
 #[test]
 fn what_moves_the_arm_goes_through_the_io_thread_and_so_does_a_target() {
     let mut bench = Bench::new();
-    for (word, kind) in [(Word::Arm, RequestKind::Arm), (Word::Track, RequestKind::Track), (Word::Clear, RequestKind::Clear)]
+    for (word, kind) in
+        [(Word::Arm, RequestKind::Arm), (Word::Track, RequestKind::Track), (Word::Clear, RequestKind::Clear)]
     {
         let asking = bench.asks(word);
         let BySocket::Ask(ticket, request) = bench.for_io() else { panic!("no request") };

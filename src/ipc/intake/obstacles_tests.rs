@@ -212,10 +212,8 @@ fn an_id_belongs_to_the_port_that_was_accepted_first() {
 
 #[test]
 fn a_declared_source_whose_id_two_processes_claim_holds_the_arm_and_another_goes_on() {
-    for (declared, expected) in [
-        (&[7][..], ObstacleDemand::Hold { source_id: 7 }),
-        (&[][..], ObstacleDemand::Proceed),
-    ] {
+    for (declared, expected) in [(&[7][..], ObstacleDemand::Hold { source_id: 7 }), (&[][..], ObstacleDemand::Proceed)]
+    {
         let mut table = ObstacleTable::new(declared);
         table.accept_from(&set(7, 0, NOW, &[ball(1)]), 1, NOW, &LIMITS).unwrap();
         assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
