@@ -1,6 +1,7 @@
 //! Faults in words: what happened, with the data and the names of the cables, and what clears it.
 
-use super::fault::{Fault, Subject};
+use super::fault::Fault;
+use super::fault_parts::Subject;
 use crate::config::CableNames;
 use sinew_hal::canopen::Emergency;
 use std::fmt;

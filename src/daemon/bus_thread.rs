@@ -7,7 +7,7 @@
 use super::drive_causes::{
     CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of,
 };
-use super::drive_faults::Gathered;
+use super::drive_faults::{Gathered, lacking};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
 use crate::config::{BusConfig, BusKind, CableNames, Config};
@@ -17,7 +17,6 @@ use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
 use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
 use sinew_hal::canopen::{Message, NodeId};
-use sinew_hal::cia402::objects::{EVENT_TIMER, GUARD, RPDO_COMMUNICATION, TORQUE_SLOPE};
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
 use sinew_hal::clock::{Naps, monotonic_ns};
 use sinew_hal::load::{BitRates, Shape};
@@ -641,17 +640,6 @@ impl BusThread {
         };
         self.shared.set_wires(buses, drives);
     }
-}
-
-/// What an object that a drive lacks would protect against.
-fn lacking((index, sub): (u16, u8)) -> String {
-    let what = match (index, sub) {
-        (RPDO_COMMUNICATION, EVENT_TIMER) => "the time-out of torques, ",
-        (GUARD, _) => "the guard of SYNC, ",
-        (TORQUE_SLOPE, _) => "the slope of torque, ",
-        _ => "",
-    };
-    format!("{what}{index:04x}:{sub:02x}")
 }
 
 /// What a round of listening brought.

@@ -4,6 +4,7 @@
 //! log drive by drive within milliseconds; told is it a moment later, together.
 
 use crate::config::CableNames;
+use sinew_hal::cia402::objects::{EVENT_TIMER, GUARD, RPDO_COMMUNICATION, TORQUE_SLOPE};
 use sinew_hal::cia402::{DriveFault, Fault};
 
 /// How long equal messages are gathered (ns).
@@ -52,6 +53,17 @@ impl Gathered {
         let more = if places.len() > NAMED_MAX { ", ..." } else { "" };
         format!("{} drives (cables {}{more}): {fault}", places.len(), named.join("; "))
     }
+}
+
+/// What an object that a drive lacks would protect against.
+pub(super) fn lacking((index, sub): (u16, u8)) -> String {
+    let what = match (index, sub) {
+        (RPDO_COMMUNICATION, EVENT_TIMER) => "the time-out of torques, ",
+        (GUARD, _) => "the guard of SYNC, ",
+        (TORQUE_SLOPE, _) => "the slope of torque, ",
+        _ => "",
+    };
+    format!("{what}{index:04x}:{sub:02x}")
 }
 
 #[cfg(test)]
