@@ -260,7 +260,9 @@ impl DirectEnd {
     }
 }
 
-/// Makes all channels. Allocates everything that they ever use.
+/// Makes all channels. Allocates everything that they ever use. Tables pass over the stack on their way to the heap, which
+/// are half a megabyte: never together with the caller's own.
+#[inline(never)]
 pub fn channels(
     cable_count: usize,
     segment_count: usize,

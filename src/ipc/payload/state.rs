@@ -68,9 +68,9 @@ pub struct TickTiming {
     pub input_ns: u64,
     /// Observer.
     pub estimate_ns: u64,
-    /// Planner.
+    /// Supervisor and planner.
     pub plan_ns: u64,
-    /// Guard and supervisor.
+    /// Guard.
     pub guard_ns: u64,
     /// Handing the tensions to the drives.
     pub send_ns: u64,
@@ -167,7 +167,7 @@ pub struct State {
     pub encoder_report: SourceReport,
     /// Obstacle sets refused because all places for sources are taken.
     pub obstacle_sources_refused: u64,
-    /// Ticks that began after the next one was due.
+    /// Ticks left out since the loop began, because it was late.
     pub ticks_missed: u64,
     /// Records that found their queue full.
     pub records_dropped: u64,
