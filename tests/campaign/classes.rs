@@ -79,8 +79,6 @@ pub enum Disk {
     Folder,
     /// A disk of a megabyte.
     Small,
-    /// A pipe that nobody reads.
-    Stuck,
 }
 
 /// A user that may publish obstacles where there are roles.
@@ -118,7 +116,6 @@ pub static CLASSES: &[Class] = &[
     // Disks.
     Class { record: Some(Disk::Folder), ..class("folder of the recording removed", Expect::GoesOn, remove_recording) },
     Class { record: Some(Disk::Small), ..by_root("disk of the recording full", Expect::GoesOn, nothing) },
-    Class { record: Some(Disk::Stuck), ..class("recording to a pipe that nobody reads", Expect::GoesOn, nothing) },
     // Users.
     by_root("stranger asks over the socket", Expect::GoesOn, |t| strangers(t, &["stop", "hold", "disarm", "status"])),
     by_root("stranger asks over shared memory", Expect::GoesOn, |t| strangers(t, &["arm", "track", "home", "clear"])),

@@ -137,10 +137,11 @@ struct Found {
 }
 
 fn place(class: &Class) -> Place {
-    let roles = class.roles;
+    let (roles, small) = (class.roles, class.record == Some(Disk::Small));
     Place::new(|file, text| {
         let access = format!("\n[access]\npublish = [\"{CAMERA}\"]\n");
         let text = if roles && file == "drives.toml" { text + &access } else { text };
+        let text = if small && file == "drives.toml" { text + "\n[recording]\nfree_mib = 0\n" } else { text };
         text.replace("heartbeat_timeout_s = 3.0", "heartbeat_timeout_s = 0.5")
             .replace("sync_timeout_s = 3.0", "sync_timeout_s = 0.5")
     })
@@ -164,14 +165,6 @@ fn recording(class: &Class, place: &Place) -> std::process::Command {
             command.args(["--mount", "--propagation", "private", "sh", "-c", &mount, "sh"]);
             command.arg(run.get_program()).args(run.get_args());
             command
-        }
-        Some(Disk::Stuck) => {
-            let made = std::process::Command::new("mkfifo").arg(&path).status().unwrap();
-            assert!(made.success());
-            // Somebody has it open, or the daemon would wait for a reader.
-            let open = std::fs::OpenOptions::new().read(true).write(true).open(&path).unwrap();
-            std::mem::forget(open);
-            place.sinew(&["run", "--record", &text])
         }
     }
 }
