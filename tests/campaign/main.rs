@@ -324,7 +324,7 @@ fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
     // Whatever a class left in shared memory goes with its prefix.
     for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
         if entry.file_name().to_string_lossy().starts_with(trial.place.prefix()) {
-            let _ = std::fs::remove_file(entry.path());
+            let _ = std::fs::remove_file(entry.path()).or_else(|_| std::fs::remove_dir(entry.path()));
         }
     }
     let _ = std::fs::remove_dir_all(trial.place.folder.path().join("ipc"));
