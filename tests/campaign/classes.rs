@@ -208,7 +208,10 @@ pub static CLASSES: &[Class] = &[
         );
     }),
     by_root("stranger kills and stops clients", Expect::GoesOn, |t| {
-        stranger_script(t, "for p in $(ls /proc | grep '^[0-9]*$'); do [ $p = $$ ] || kill -STOP $p; [ $p = $$ ] || kill -KILL $p; done");
+        stranger_script(
+            t,
+            "for p in $(ls /proc | grep '^[0-9]*$'); do [ $p = $$ ] || kill -STOP $p; [ $p = $$ ] || kill -KILL $p; done",
+        );
     }),
     by_root("stranger fills the process table", Expect::Safe, |t| {
         stranger_script(t, "ulimit -p 200; for i in $(seq 150); do sleep 1 & done; wait");
