@@ -263,7 +263,9 @@ fn a_look_shows_the_arm_that_the_lengths_show_and_leaves_a_start_as_it_is() {
     }
     // Lengths of no arm do not carry it away for good.
     let absurd: Vec<f64> = (0..arm.cable_count()).map(|c| 10.0 * (c as f64).sin()).collect();
-    (0..20).for_each(|_| drop(observer.look(&absurd)));
+    for _ in 0..20 {
+        observer.look(&absurd);
+    }
     assert!(observer.state().q.iter().all(|q| q.is_finite()));
     let u = tensions(&arm);
     let measured = lengths(&arm, &rest(&arm, &u).q);

@@ -237,7 +237,7 @@ fn trial(class: &Class, seed: u64) -> Found {
     }
     // A stop is a motion of many seconds, which most trials cut short.
     let mut until = Until::of(class, begun_ns);
-    if seed % WHOLE_STOPS != 0 && found.stop_ms.is_some() {
+    if !seed.is_multiple_of(WHOLE_STOPS) && found.stop_ms.is_some() {
         trial.pause(50, 400);
         until.first_ns = Some(until.first_ns.unwrap_or(u64::MAX).min(monotonic_ns()));
         let _ = address.ask(Word::Disarm, WAITS);

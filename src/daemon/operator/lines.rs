@@ -181,17 +181,16 @@ mod tests {
 
     #[test]
     fn a_set_and_a_point_are_the_same_behind_their_lines() {
-        let mut set = Obstacles::default();
-        set.header = Header::new(7, 3, 55).for_tick(9);
-        set.flags = FLAG_LEAVING;
+        let header = Header::new(7, 3, 55).for_tick(9);
+        let mut set = Obstacles { header, flags: FLAG_LEAVING, ..Obstacles::default() };
         assert!(set.push(Obstacle { velocity_mps: [0.1, 0.2, 0.3], ..Obstacle::ball(4, [1.0, 2.0, 3.0], 0.5) }));
         let corners = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         assert!(set.push_hull(Obstacle { id: 5, ..Obstacle::default() }, &corners));
         let text = serde_json::to_string(&SetLine::of(&set)).unwrap();
         assert_eq!(*serde_json::from_str::<SetLine>(&text).unwrap().set(7, 3).unwrap(), set);
 
-        let mut pose = Target { position_m: [0.1, 0.0, -2.0], valid_from_ns: 77, ..Target::default() };
-        pose.header = Header::new(7, 3, 55);
+        let header = Header::new(7, 3, 55);
+        let pose = Target { header, position_m: [0.1, 0.0, -2.0], valid_from_ns: 77, ..Target::default() };
         let mut shape = Target { mode: TargetMode::Shape.wire(), segment_count: 2, weight: 3.0, ..pose };
         (shape.position_m, shape.curvature_1pm[3]) = (Target::default().position_m, -0.5);
         for target in [pose, shape] {
