@@ -16,6 +16,7 @@ pub mod posture;
 pub mod recording;
 pub mod report;
 pub mod scenario;
+pub mod stability;
 
 /// Makes the claims of unit tests about allocation able to fail.
 #[cfg(test)]

@@ -61,6 +61,49 @@ fn requests_move_the_arm_through_its_modes_and_an_ordered_stop_leaves_nothing() 
 }
 
 #[test]
+fn a_speed_is_asked_for_and_shown_and_a_target_out_of_reach_is_refused_with_the_miss() {
+    let place = Place::new(|name, text| match name {
+        "controller.toml" => format!("{text}\n[governor]\nout_of_reach = \"refuse\"\n"),
+        _ => text,
+    });
+    let _plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&[]);
+    place.arm();
+    let (code, said) = place.operate(&["speed", "50%"]);
+    let expected = "speed: holding, at 50 % of the configured speed until the arm is disarmed";
+    assert_eq!((code, said.trim()), (Some(0), expected));
+    place.until("half the speed", |s| s.speed_scale == 0.5);
+    for bad in ["0", "0.5%", "120%", "-50%", "fast"] {
+        let (code, said) = place.operate(&["speed", bad]);
+        assert!(code == Some(2) && said.contains(bad) && said.contains("1% to 100%"), "{bad}: {said}");
+    }
+    let (_, said) = place.operate(&["status"]);
+    assert!(said.contains("speed: 50 % of the configured, until the arm is disarmed"), "{said}");
+
+    let _injecting = Running(place.sinew(&["obstacles", "inject"]).spawn().unwrap());
+    place.until("a source", |s| s.obstacles.iter().any(|o| o.health == "fresh"));
+    let (code, said) = place.operate(&["target", "--pose", "1,0,-5,0.7071,0,0.7071,0"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = place.operate(&["track"]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("out of reach: the arm holds; it misses the target by 2"), "{said}");
+    let report = place.until("the reason", |s| s.mode == "holding" && !s.alarms.is_empty());
+    let reach = report.reach.clone().unwrap_or_else(|| panic!("{report:#?}"));
+    // From (1, 0, -5) to wherever an arm of 2.75 m gets.
+    let [x, y, z] = reach.nearest_m;
+    let miss = ((x - 1.0).powi(2) + y.powi(2) + (z + 5.0).powi(2)).sqrt();
+    assert!(reach.refused && (reach.miss_m - miss).abs() < 1e-9 && miss > 2.2, "{reach:?}");
+    assert!(
+        report.alarms.iter().any(|a| a.what == "the target is out of reach" && a.does == reach.text()),
+        "{report:#?}"
+    );
+
+    assert_eq!(place.operate(&["disarm"]).0, Some(0));
+    place.until("the speed is forgotten", |s| s.mode == "disarmed" && s.speed_scale == 1.0);
+    daemon.kill();
+}
+
+#[test]
 fn a_signal_while_tracking_ramps_down_and_disables_before_the_end() {
     let place = Place::shipped();
     let _plant = Plant::start(&place, false, &[]);

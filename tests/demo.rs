@@ -176,6 +176,20 @@ fn a_short_run_prints_one_object_judged_by_the_true_arm_and_leaves_nothing() {
 }
 
 #[test]
+fn another_arm_needs_nothing_but_its_own_file() {
+    // Loops of 4, 4 and 2 ms: the task sends its points 0.4 s ahead, and the daemon keeps 64.
+    for (name, length_m) in [("rao-2021/tip", 0.4), ("festo-bha/tip", 0.75), ("rucker-webster-2011/tip", 0.242)] {
+        let (output, _folder) = Demo::start(&[name, "--fast", "--json", "--duration", "3"]).end();
+        assert!(output.status.success(), "{name}: {}", text(&output));
+        let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(object["faults"], serde_json::json!([]), "{name}");
+        let error = &object["tip_error_m"];
+        assert!(error["norm_mean"].as_f64().unwrap() < 0.005 * length_m, "{name}: {error}");
+        assert!(error["norm_max"].as_f64().unwrap() < 0.015 * length_m, "{name}: {error}");
+    }
+}
+
+#[test]
 fn a_seed_gives_the_same_tensions_bit_for_bit_and_another_seed_others() {
     let run = |seed: &str| {
         let (output, folder) = Demo::start(&["tip", "--fast", "--json", "--duration", "1", "--seed", seed]).end();
@@ -337,7 +351,7 @@ fn an_obstacle_client_that_is_killed_in_the_middle_of_avoiding_leads_to_growth_a
     assert!(end - held > 100, "{}", end - held);
     let away = |t: &Told| (0..3).map(|i| (t.tip_m[i] - told[held].tip_m[i]).powi(2)).sum::<f64>().sqrt();
     let farthest = told[held..end].iter().map(away).fold(0.0, f64::max);
-    assert!(farthest < 0.06, "{farthest} m");
+    assert!(farthest < 0.05, "{farthest} m");
 }
 
 #[test]

@@ -290,22 +290,31 @@ fn requests_are_answered_by_the_control_thread() {
         let unknown = client.request(Request { kind: 99, ..Request::default() }, WAIT).unwrap();
         let bad = Target { position_m: [f64::NAN; 3], ..Target::default() };
         let bad = client.set_target(5, bad, WAIT).unwrap();
-        (arm, track, unknown, bad)
+        for scale in [0.0, 0.009, 1.001, -0.5, f64::NAN, f64::INFINITY] {
+            let refused = client.request(Request::speed(scale), WAIT).unwrap();
+            assert_eq!(refused.reason, RefusalReason::BadSpeed.wire(), "{scale}");
+            assert_eq!(refused.text(), "the speed is not between 1 % and 100 %");
+        }
+        let slow = client.request(Request::speed(0.5), WAIT).unwrap();
+        (arm, track, unknown, bad, slow)
     });
     let mut seen: Vec<OperatorCommand> = Vec::new();
     let deadline = Instant::now() + WAIT;
-    while seen.len() < 2 && Instant::now() < deadline {
+    while seen.len() < 3 && Instant::now() < deadline {
         if let Some(command) = daemon.inputs.next_command() {
             seen.push(command);
             daemon.outputs.reply(match command.kind {
-                RequestKind::Arm => Reply::accepted(&command, SupervisorState::Holding),
+                RequestKind::Arm | RequestKind::Speed => Reply::accepted(&command, SupervisorState::Holding),
                 _ => Reply::refused(&command, SupervisorState::Holding, RefusalReason::NoTarget),
             });
         }
         std::thread::sleep(Duration::from_millis(1));
     }
-    let (arm, track, unknown, bad) = operator.join().unwrap();
-    assert_eq!(seen.iter().map(|c| c.kind).collect::<Vec<_>>(), [RequestKind::Arm, RequestKind::Track]);
+    let (arm, track, unknown, bad, slow) = operator.join().unwrap();
+    let kinds: Vec<_> = seen.iter().map(|c| c.kind).collect();
+    assert_eq!(kinds, [RequestKind::Arm, RequestKind::Track, RequestKind::Speed]);
+    assert_eq!(seen[2].speed_scale, 0.5);
+    assert!(slow.is_accepted() && slow.text() == "holding, at 50 % of the configured speed until the arm is disarmed");
     assert!(arm.is_accepted() && arm.supervisor == SupervisorState::Holding.wire() && arm.header.sequence == 0);
     assert!(!track.is_accepted() && track.reason == RefusalReason::NoTarget.wire());
     assert_eq!((track.text(), track.header.sequence), ("no fresh target", 1));

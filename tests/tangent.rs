@@ -59,13 +59,16 @@ fn differences(arm: &Arm, state: &State, u: &[f64], rates: Rates) -> DMatrix<f64
 fn each_case(mut check: impl FnMut(&str, &Arm, &State, &[f64], Rates)) {
     for routing in [Routing::Local, Routing::Through] {
         for (chord, strain) in RULES {
-            for seed in 0..4 {
+            for seed in 0..5 {
                 let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
                 let mut config = random_arm(&mut rng, routing, chord, strain);
                 if seed == 0 {
                     // The smallest arm: one element, one node.
                     config.segments.truncate(1);
                     config.segments[0].elements = 1;
+                }
+                if seed > 1 {
+                    vary(&mut rng, &mut config);
                 }
                 let arm = Arm::new(&config);
                 let state = random_state(&mut rng, &arm);

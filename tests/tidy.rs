@@ -22,6 +22,7 @@ const ORDER: &[&str] = &[
     "report",
     "scenario",
     "control",
+    "stability",
     "ipc",
     "recording",
     "daemon",

@@ -7,7 +7,7 @@
 use crate::truth::{Truth, TruthSettings};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::config::Config;
+use sinew::config::{Config, ScenarioConfig};
 use sinew::control::{CableMask, Record};
 use sinew::control::{
     Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
@@ -15,6 +15,7 @@ use sinew::control::{
 };
 use sinew::estimator::Observer;
 use sinew::model::Arm;
+use sinew::scenario::Course;
 
 /// How a drive differs from what the controller's configuration says of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,6 +56,8 @@ pub struct Bench {
     pub lies: Vec<Lie>,
     /// Why the plant could not go on; it stays where it was.
     pub broken: Option<String>,
+    /// Largest change of a tension per second while the planner was at work (N/s).
+    pub tension_rate_max_nps: f64,
     /// Whether brakes hold the arm.
     braked: bool,
     start_n: Vec<f64>,
@@ -87,6 +90,7 @@ impl Bench {
             demand: ObstacleDemand::Proceed,
             lies: vec![Lie::NONE; cables],
             broken: None,
+            tension_rate_max_nps: 0.0,
             braked: true,
             start_n: settings.start_tensions_n.clone(),
             before_m: straight_m.clone(),
@@ -100,6 +104,22 @@ impl Bench {
             period_s,
             rng: Xoshiro256PlusPlus::seed_from_u64(truth.seed),
         }
+    }
+
+    /// At rest where a scenario starts, drives off.
+    ///
+    /// # Errors
+    /// The arm has no such equilibrium.
+    pub fn at_start_of(scenario: &ScenarioConfig, config: &Config, truth: &TruthSettings) -> Result<Self, String> {
+        let mut settings = Settings::new(config);
+        let (state, tensions) = Course::new(scenario).start(&config.arm).map_err(|error| error.to_string())?;
+        settings.start_tensions_n = tensions.iter().map(|u| u.max(config.arm.tension_n_min)).collect();
+        let arm = Arm::new(&config.arm);
+        let mut k = vec![0.0; 2 * arm.segment_count()];
+        arm.curvatures_into(&state.q, &state.qd, &mut k, &mut vec![0.0; 2 * arm.segment_count()]);
+        let mut bench = Self::new(config, &settings, truth);
+        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).map_err(|error| error.to_string())?;
+        Ok(bench)
     }
 
     /// Time (s) of the next tick.
@@ -134,6 +154,11 @@ impl Bench {
         self.braked &= self.cycle.tensions_n() != self.start_n;
         if self.braked {
             return output;
+        }
+        if self.cycle.supervisor().is_planning() {
+            let changes = self.cycle.tensions_n().iter().zip(&self.told_n).map(|(now, before)| (now - before).abs());
+            self.tension_rate_max_nps =
+                changes.fold(0.0, f64::max).max(self.tension_rate_max_nps * self.period_s) / self.period_s;
         }
         self.told_n.copy_from_slice(self.cycle.tensions_n());
         let told = self.told_n.iter().zip(&self.lies);

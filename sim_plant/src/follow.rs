@@ -4,11 +4,9 @@ use crate::bench::Bench;
 use crate::truth::TruthSettings;
 use nalgebra::{Vector3, Vector4};
 use sinew::collision::{Body, BodyGeometry, Shape};
-use sinew::config::{BodyModel, Config, Motion, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
+use sinew::config::{BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
 use sinew::control::obstacles::Placement;
-use sinew::control::{CURVATURES_MAX, Mode, Request, Settings, Target, TargetInput};
-use sinew::model::Arm;
-use sinew::scenario::Course;
+use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
 
 /// Time before a path at its first pose (s).
 const APPROACH_S: f64 = 10.0;
@@ -26,6 +24,8 @@ pub struct Followed {
     pub distance: f64,
     /// Root mean square of the change of a tension a tick over the largest tension.
     pub roughness: f64,
+    /// Largest change of a tension per time, over the largest tension times the first angular frequency.
+    pub tension_rate: f64,
     /// Largest error of the estimated tip over the arm's length.
     pub estimate_error: f64,
     /// Why it ended early.
@@ -58,6 +58,7 @@ pub fn scaled(scenario: &ScenarioConfig, s: f64) -> ScenarioConfig {
         }
         Task::Shape { curvatures_1pm, .. } => curvatures_1pm.iter_mut().for_each(|k| *k /= s),
     }
+    scenario.planner.body_radius_m *= s;
     match &mut scenario.start {
         Start::Straight => {}
         Start::Tensions(tensions_n) => tensions_n.iter_mut().for_each(|u| *u *= s.powi(4)),
@@ -103,15 +104,7 @@ pub fn follow(
 ) -> Result<Followed, String> {
     let mut config = config.clone();
     config.planner.avoidance = scenario.planner.avoidance;
-    let mut settings = Settings::new(&config);
-    let (state, tensions) = Course::new(scenario).start(&config.arm).map_err(|error| error.to_string())?;
-    settings.start_tensions_n = tensions.iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-    let arm = Arm::new(&config.arm);
-    let count = 2 * arm.segment_count();
-    let (mut k, mut kd) = (vec![0.0; count], vec![0.0; count]);
-    arm.curvatures_into(&state.q, &state.qd, &mut k, &mut kd);
-    let mut bench = Bench::new(&config, &settings, truth);
-    bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).map_err(|error| error.to_string())?;
+    let mut bench = Bench::at_start_of(scenario, &config, truth)?;
     for (k, obstacle) in scenario.obstacles.iter().enumerate() {
         let shape = Shape::new(&obstacle.shape).map_err(|error| format!("{error:?}"))?;
         bench.obstacles.insert(k as u64, &shape).map_err(|error| format!("{error:?}"))?;
@@ -177,6 +170,8 @@ pub fn follow(
         }
     }
     shown.error.0 /= count.max(1) as f64;
+    let scale = Scale::of(&config.arm);
+    shown.tension_rate = bench.tension_rate_max_nps / (scale.tension_n * scale.omega_radps);
     shown.roughness = (squares / count.max(1) as f64).sqrt() / config.arm.tension_n_max;
     if let Task::Shape { curvatures_1pm, .. } = &scenario.task {
         let largest = curvatures_1pm.iter().fold(0.0f64, |a, k| a.max(k.abs()));

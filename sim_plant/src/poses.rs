@@ -2,16 +2,10 @@
 
 use crate::bench::Bench;
 use nalgebra::{Vector3, Vector4};
-use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::Config;
 use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
-use sinew::model::Arm;
-use sinew::posture::RestingArm;
+use sinew::stability::random_posture;
 use std::io::{self, Write};
-
-/// Largest bend angle of a segment of a random posture (rad).
-const BEND_MAX_RAD: f64 = 1.3;
 
 /// A pose with the posture that it was made from.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,37 +20,8 @@ pub struct Pose {
 
 /// The pose of the model's equilibrium at random mean curvatures.
 pub fn random(config: &Config, seed: u64) -> Pose {
-    let arm = Arm::new(&config.arm);
-    let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-    let u = vec![config.arm.tension_n_min; arm.cable_count()];
-    loop {
-        let curvatures: Vec<f64> = config
-            .arm
-            .segments
-            .iter()
-            .flat_map(|s| {
-                // Evenly over the disc of bends.
-                let bend = BEND_MAX_RAD * rng.random_range(0.0f64..1.0).sqrt();
-                let side = rng.random_range(0.0..std::f64::consts::TAU);
-                [bend * side.cos() / s.length_m, bend * side.sin() / s.length_m]
-            })
-            .collect();
-        let mut rest = RestingArm::new(&arm);
-        let mut norm = f64::NAN;
-        for k in 1..=24 {
-            let share = (f64::from(k) / 16.0).min(1.0);
-            let wanted: Vec<f64> = curvatures.iter().map(|c| share * c).collect();
-            if rest.linearize(&u).is_err() {
-                norm = f64::NAN;
-                break;
-            }
-            norm = rest.advance(&wanted);
-        }
-        if norm < 1e-8 {
-            let (position, quaternion) = rest.tip();
-            return Pose { position, quaternion, curvatures };
-        }
-    }
+    let (curvatures, (position, quaternion)) = random_posture(config, seed);
+    Pose { position, quaternion, curvatures }
 }
 
 /// What a pose showed, all by the true arm.
@@ -72,10 +37,16 @@ pub struct Shown {
     pub peak_to_peak: f64,
     /// Largest error of the estimated position (m).
     pub estimate_error: f64,
+    /// Share of all ticks, on the way too, in which that is within three standard deviations of the estimate.
+    pub within: f64,
+    /// Three standard deviations at the end (m).
+    pub three_sigma: f64,
     /// Largest speed of the tip (m/s), on the way too.
     pub speed_max: f64,
     /// Largest tension (N), on the way too.
     pub tension_max: f64,
+    /// Largest change of a tension per second (N/s), since the arm was armed.
+    pub tension_rate_max: f64,
     /// Tensions at their bound at the end.
     pub saturated: usize,
     /// Largest error of a mean curvature at the end (1/m).
@@ -88,6 +59,11 @@ pub struct Shown {
     pub roughness: f64,
     /// Growth of the motion from the first to the last third of the time watched (1/s).
     pub growth: f64,
+}
+
+/// Largest standard deviation of the tip's estimated position (m).
+fn governor_sigma(bench: &Bench) -> f64 {
+    bench.cycle.governor().covariance().element_sigma_m().last().copied().unwrap_or(0.0)
 }
 
 fn target_at(pose: &Pose, shape: bool) -> TargetInput {
@@ -126,7 +102,7 @@ pub fn show(
     let mut tip = bench.truth.tip().position;
     let mut last_u: Vec<f64> = bench.cycle.tensions_n().to_vec();
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    let (mut end, mut squares, mut count) = (None, 0.0, 0usize);
+    let (mut end, mut squares, mut count, mut within) = (None, 0.0, 0usize, 0usize);
     let mut thirds = [(Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)); 3];
     loop {
         let before = bench.time_s();
@@ -148,6 +124,9 @@ pub fn show(
         last_u.copy_from_slice(u);
         shown.tension_max = u.iter().copied().fold(shown.tension_max, f64::max);
         let estimate = (bench.cycle.estimated_tip() - now).norm();
+        let sigma = governor_sigma(bench);
+        within += usize::from(estimate <= 3.0 * sigma);
+        shown.three_sigma = 3.0 * sigma;
         if let Some(file) = &mut trace {
             let largest = last_u.iter().copied().fold(0.0, f64::max);
             write!(file, "{t:.3},{:.5},{:.5},{:.5},{estimate:.5},", now[0], now[1], now[2])?;
@@ -182,13 +161,15 @@ pub fn show(
             break;
         }
     }
+    shown.within = within as f64 / count.max(1) as f64;
     shown.peak_to_peak = (high - low).norm();
     let swing = |k: usize| (thirds[k].1 - thirds[k].0).norm();
     shown.growth = (swing(2) / swing(0)).ln() / (watch * 2.0 / 3.0);
     shown.roughness = (squares / count.max(1) as f64).sqrt();
     let k = bench.truth.curvatures();
     shown.curvature_error = k.iter().zip(&pose.curvatures).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    shown.reach = bench.cycle.governor().outcome().map_or(f64::NAN, |o| o.position_m);
+    shown.tension_rate_max = bench.tension_rate_max_nps;
+    shown.reach = bench.cycle.governor().reach().map_or(f64::NAN, |reach| reach.miss_m);
     shown.saturated = last_u.iter().filter(|u| **u > 0.999 * bench.truth.config().tension_n_max).count();
     Ok(shown)
 }

@@ -144,6 +144,8 @@ pub struct Truth {
     constant: Vec<f64>,
     /// Element of each passage, for friction.
     element_of: Vec<usize>,
+    /// Strain for a newton (1/N) and feed (m) of each cable.
+    stretch: Vec<(f64, f64)>,
     /// Direction of each cable: 1 pulled in, -1 paying out.
     direction: Vec<f64>,
     commands: VecDeque<Vec<f64>>,
@@ -163,6 +165,7 @@ impl Truth {
         let mut constant = vec![0.0; cables];
         let mut cable_of: Vec<usize> = (0..cables).collect();
         let mut element_of = Vec::new();
+        let stretch = model.cable_compliance.iter().copied().zip(model.cable_feed.iter().copied()).collect();
         if settings.capstan_friction > 0.0 {
             constant = std::mem::take(&mut model.cable_constant);
             (cable_of, element_of) = split_cables(&mut model);
@@ -182,6 +185,7 @@ impl Truth {
             cable_of,
             constant,
             element_of,
+            stretch,
             direction: vec![0.0; cables],
             commands: VecDeque::with_capacity(settings.latency_ticks + 1),
             applied: vec![0.0; cables],
@@ -256,7 +260,7 @@ impl Truth {
         Ok(())
     }
 
-    /// Cable lengths (m) as the encoders show them: noisy where configured, rounded to the encoder's step.
+    /// Cable lengths (m) as the encoders show them: those let out by the drums, unstretched, noisy where configured, rounded to the encoder's step.
     pub fn lengths(&self) -> &[f64] {
         &self.shown
     }
@@ -360,9 +364,25 @@ impl Truth {
         for (leg, l) in self.leg.iter().enumerate() {
             self.length[self.cable_of[leg]] += l;
         }
+        // What the drums have let out: each passage stretches by the tension that is left there.
+        self.load();
+        self.shown.copy_from_slice(&self.length);
+        for c in 0..self.shown.len() {
+            let (compliance, feed) = self.stretch[c];
+            if compliance > 0.0 {
+                let tension = self.applied[c] * self.gain[c];
+                self.shown[c] = (self.constant[c] + feed) / (1.0 + compliance * tension) - feed;
+            }
+        }
+        for (leg, l) in self.leg.iter().enumerate() {
+            let c = self.cable_of[leg];
+            let (compliance, _) = self.stretch[c];
+            if compliance > 0.0 {
+                self.shown[c] += l / (1.0 + compliance * self.tension[leg]);
+            }
+        }
         let (step, noise) = (self.settings.encoder_step_m, self.settings.encoder_noise_m);
-        for (shown, l) in self.shown.iter_mut().zip(&self.length) {
-            *shown = *l;
+        for shown in &mut self.shown {
             if noise > 0.0 {
                 let n: f64 = StandardNormal.sample(&mut self.rng);
                 *shown += noise * n;
@@ -401,6 +421,9 @@ fn split_cables(arm: &mut Arm) -> (Vec<usize>, Vec<usize>) {
     }
     arm.cable_constant = vec![0.0; cable_of.len()];
     arm.cable_elements = element_of.iter().map(|&i| i..i + 1).collect();
+    for own in [&mut arm.cable_compliance, &mut arm.cable_feed] {
+        *own = cable_of.iter().map(|&c| own[c]).collect();
+    }
     arm.cable_segment = cable_of.iter().map(|&c| arm.cable_segment[c]).collect();
     (cable_of, element_of)
 }
@@ -514,6 +537,28 @@ mod tests {
             truth.step(&[0.0; 24], 0.01).unwrap();
             assert!(truth.energy() <= energy * (1.0 + 1e-6) + 1e-12);
             energy = truth.energy();
+        }
+    }
+
+    #[test]
+    fn drums_tell_what_they_let_out_and_the_arm_has_what_that_stretches_to() {
+        let mut config = ArmConfig::paper();
+        for segment in &mut config.segments {
+            (segment.cable_stiffness_n, segment.cable_feed_m) = (Some(3e4), 0.8);
+        }
+        for friction in [0.0, 0.1] {
+            let mut settings = TruthSettings::ideal(0.005);
+            settings.capstan_friction = friction;
+            let mut truth = Truth::new(&config, &settings);
+            truth.start_at_equilibrium(&pull(), &[0.0; 8]).unwrap();
+            let model = Arm::new(&config);
+            for c in 0..24 {
+                let want = model.at_drum(c, truth.true_lengths()[c], pull()[c]);
+                let stretched = truth.true_lengths()[c] - truth.lengths()[c];
+                assert!(stretched > 1e-5 && stretched < 3e-3);
+                // Nothing moved: friction holds nothing back.
+                assert!((truth.lengths()[c] - want).abs() < 1e-12, "{c} {friction}");
+            }
         }
     }
 

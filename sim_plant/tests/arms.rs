@@ -5,12 +5,11 @@
 use sim_plant::follow::{Followed, follow, plant, scaled};
 use sinew::config::{Config, ScenarioConfig};
 
-/// A scenario of the library by nothing but its arm's file; the body is the backbone's curve, to which the library's balls are
-/// placed.
+/// A scenario of the library by nothing but its arm's file.
 fn shown(name: &str, scale: f64, duration_s: Option<f64>) -> Followed {
     let scenario = scaled(&ScenarioConfig::find(name).expect("built in"), scale);
     let mut config = Config::of_arm(&scenario.arm, None).expect("an arm that works");
-    config.planner.body_radius_m = 0.0;
+    config.planner.body_radius_m = scenario.planner.body_radius_m;
     let shown = follow(&config, &plant(&config, 1), &scenario, duration_s, |_, _, _| ()).expect("a start");
     assert_eq!(shown.failed, None, "{name}: {shown:?}");
     assert!(shown.distance > 0.0, "{name} touches: {shown:?}");

@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use sim_plant::bench::Bench;
 use sim_plant::truth::TruthSettings;
 use sinew::collision::{Body, BodyGeometry, Shape};
-use sinew::config::{BodyModel, Config, ShapeConfig};
+use sinew::config::{BodyModel, Config, ScenarioConfig, ShapeConfig};
 use sinew::control::obstacles::Placement;
-use sinew::control::{Mode, Request, Settings};
+use sinew::control::{Mode, Request};
 
 /// The true arm, held in the paper's start, and what its surface was nearest to.
 struct World {
@@ -24,17 +24,8 @@ impl World {
     fn new() -> Self {
         let config = Config::builtin();
         let truth = TruthSettings::study(1);
-        let start: serde_json::Value = serde_json::from_str(include_str!("../../tests/golden/tip_start.json")).unwrap();
-        let numbers =
-            |key: &str| -> Vec<f64> { start[key].as_array().unwrap().iter().filter_map(|x| x.as_f64()).collect() };
-        let mut settings = Settings::new(&config);
-        settings.start_tensions_n = numbers("u0").iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-        let mut bench = Bench::new(&config, &settings, &truth);
-        let arm = sinew::model::Arm::new(&config.arm);
-        let q = numbers("q0");
-        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
-        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
-        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
+        let scenario = ScenarioConfig::find("tip").expect("built in");
+        let mut bench = Bench::at_start_of(&scenario, &config, &truth).expect("the paper's start");
         bench.arm(60.0).expect("armed");
         let count = bench.truth.config().node_count() + 1;
         let geometry = BodyGeometry::from_arm(bench.truth.config());

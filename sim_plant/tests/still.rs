@@ -23,6 +23,8 @@ fn judge(shown: &Shown, still_m: f64) {
     assert!(shown.peak_to_peak < still_m, "{shown:?}");
     assert!(shown.error < 0.01, "{shown:?}");
     assert_eq!(shown.saturated, 0, "{shown:?}");
+    // The estimate knows how well it knows.
+    assert!(shown.within >= 0.995 && shown.three_sigma < 0.02, "{shown:?}");
     // The declared speed, 0.11 m/s, is that of the reference; what swings beside it comes on top.
     assert!(shown.speed_max < 0.125, "{shown:?}");
     assert!(shown.roughness < 0.04, "{shown:?}");

@@ -12,6 +12,7 @@ mod record;
 mod requests;
 mod run;
 mod scenario_client;
+mod stability;
 mod status;
 
 use clap::{Parser, Subcommand};
@@ -26,7 +27,7 @@ use std::process::ExitCode;
 const ENDINGS: &str = "\
 Exit codes:
   0  done
-  1  the run ended in a fault, in contact or before its time;
+  1  the run ended in a fault, in contact or before its time; not stable;
      the daemon refused, has a fault latched or is not there
   2  unusable arguments, configuration or files, or a part that broke
  70  a defect of the daemon, which a service manager may start over
@@ -53,6 +54,8 @@ enum Command {
     Check(check::Check),
     /// Show an arm by its file alone: mass, sag, modes, what its cables can bend, and every setting computed from it.
     ArmInfo(arm_info::ArmInfo),
+    /// Show whether the closed loop is stable where it holds the arm, in which modes it moves, and its margins.
+    Stability(stability::Stability),
     /// Run the daemon of an arm.
     Run(run::Run),
     /// Show a running daemon: mode, faults, times, buses, sources, rights.
@@ -78,6 +81,11 @@ enum Command {
     Clear(requests::Ask),
     /// Go to the home pose.
     Home(requests::Ask),
+    /// Move at a share of the configured speed, 1% to 100%.
+    ///
+    /// It counts on every way to a target and back, smoothly from where the arm is. Giving way to obstacles, and a stop, keep
+    /// their own speed. It is kept until another is given; whenever the arm is disarmed it is 100% again.
+    Speed(requests::Speed),
     /// Give one target, which is kept until another comes.
     Target(requests::TargetArguments),
     /// Inject an obstacle by hand, or list those that the loop knows.
@@ -123,6 +131,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::Plan(plan) => plan.run(),
         Command::Check(check) => check.run(),
         Command::ArmInfo(info) => info.run(),
+        Command::Stability(stability) => stability.run(),
         Command::Demo(demo) => demo.run(),
         Command::Client(client) => client.run(),
         Command::Leash(leash) => leash.run(),
@@ -136,6 +145,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::EmergencyStop(stop) => stop.run(),
         Command::Clear(ask) => ask.run(Word::Clear),
         Command::Home(ask) => ask.run(Word::Home),
+        Command::Speed(speed) => speed.run(),
         Command::Target(target) => target.run(),
         Command::Obstacles(obstacles) => obstacles.run(),
     }

@@ -1,11 +1,13 @@
-//! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `target`: what an operator asks for.
+//! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `speed`, `target`: what an operator asks for.
 
 use super::client::{ANSWER, Which, not_connected, numbers, say};
 use super::{Outcome, complain};
 use clap::{ArgGroup, Args};
-use sinew::daemon::operator::{OperatorError, Said, Word};
-use sinew::ipc::payload::{MAX_SEGMENTS, Target, TargetMode};
+use sinew::daemon::operator::{Address, OperatorError, Said, Word, parse_speed};
+use sinew::daemon::status;
+use sinew::ipc::payload::{MAX_SEGMENTS, SupervisorState, Target, TargetMode};
 use sinew_hal::peer::user_text;
+use std::time::{Duration, Instant};
 
 /// Arguments of a request without any of its own.
 #[derive(Debug, Args)]
@@ -25,7 +27,10 @@ impl Ask {
                 Err(error) => return Ok(not_connected(&error)),
             }
         } else {
-            return said(word.text(), found.address.ask(word, ANSWER));
+            let answered = found.address.ask(word, ANSWER);
+            let tracks = word == Word::Track && accepted_in(&answered).is_some();
+            let outcome = said(word.text(), answered)?;
+            return Ok(if tracks { say_reach(&found.address) } else { outcome });
         };
         let several = all.len() > 1;
         let mut outcome = Outcome::Done;
@@ -39,6 +44,14 @@ impl Ask {
             }
         }
         Ok(outcome)
+    }
+}
+
+/// The supervisor's state where it accepts.
+fn accepted_in(said: &Result<Said, OperatorError>) -> Option<SupervisorState> {
+    match said {
+        Ok(Said::Answer(answer)) if answer.accepted => SupervisorState::from_wire(answer.supervisor),
+        _ => None,
     }
 }
 
@@ -70,6 +83,65 @@ impl EmergencyStop {
     }
 }
 
+/// Longest wait for what the arm finds out about a target: it looks from several postures.
+const REACH: Duration = Duration::from_secs(10);
+/// A loop that makes no tick for so long finds nothing out.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Between two looks at the daemon's report.
+const LOOKS: Duration = Duration::from_millis(50);
+
+/// Waits until the loop has found out whether a tip target that is followed from now on is within reach, and says so where it is
+/// not.
+fn say_reach(address: &Address) -> Outcome {
+    let deadline = Instant::now() + REACH;
+    let (mut first, mut out, mut newest) = (None, None, (0, Instant::now()));
+    while Instant::now() < deadline && newest.1.elapsed() < SILENCE {
+        let report = match status::ask(address) {
+            Ok(Some(report)) => report,
+            Ok(None) => break,
+            Err(error) => return not_connected(&error),
+        };
+        if report.ticks > newest.0 {
+            newest = (report.ticks, Instant::now());
+        }
+        // The tick of the answer may have seen the target before; the next one has not.
+        let seen = report.ticks >= *first.get_or_insert(report.ticks) + 3;
+        if let Some(reach) = report.reach.filter(|_| seen) {
+            // The tick that finds it out still tracks; whether it is refused shows the one after.
+            if reach.refused || report.ticks >= *out.get_or_insert(report.ticks) + 2 {
+                complain(format_args!("the target is out of reach: {}", reach.text()));
+                return if reach.refused { Outcome::Failed } else { Outcome::Done };
+            }
+        } else if seen && !report.reach_sought {
+            break;
+        }
+        std::thread::sleep(LOOKS);
+    }
+    Outcome::Done
+}
+
+/// Arguments of `sinew speed`.
+#[derive(Debug, Args)]
+pub(crate) struct Speed {
+    #[command(flatten)]
+    ask: Ask,
+    /// Share of the configured speed: 1% to 100%, or 0.01 to 1.
+    #[arg(value_name = "SPEED", allow_hyphen_values = true)]
+    speed: String,
+}
+
+impl Speed {
+    pub(crate) fn run(&self) -> miette::Result<Outcome> {
+        match parse_speed(&self.speed) {
+            Ok(scale) => self.ask.run(Word::Speed(scale)),
+            Err(why) => {
+                complain(format_args!("sinew speed: {why}"));
+                Ok(Outcome::Unusable)
+            }
+        }
+    }
+}
+
 /// Arguments of `sinew target`.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true, group(ArgGroup::new("what").required(true).args(["pose", "curvatures"])))]
@@ -96,7 +168,11 @@ impl TargetArguments {
                 return Ok(Outcome::Unusable);
             }
         };
-        said("target", self.which.find()?.address.set_target(&target, ANSWER))
+        let address = self.which.find()?.address;
+        let answered = address.set_target(&target, ANSWER);
+        let tracks = accepted_in(&answered) == Some(SupervisorState::Tracking);
+        let outcome = said("target", answered)?;
+        Ok(if tracks { say_reach(&address) } else { outcome })
     }
 
     fn target(&self) -> Result<Target, String> {

@@ -24,6 +24,8 @@ use std::time::{Duration, Instant};
 
 /// How far ahead of time a path's points are sent (s): beyond the planner's lookahead and lead.
 const AHEAD_S: f64 = 0.4;
+/// Least time between two points (s): the daemon keeps 64 of them, whatever its period.
+const POINTS_S: f64 = 0.01;
 /// A daemon that has said nothing for so long is gone.
 const SILENCE: Duration = Duration::from_secs(30);
 /// Silence in lockstep after which is looked whether the daemon is there (ns).
@@ -265,11 +267,13 @@ impl Content for ObstacleContent {
 struct TaskContent {
     scenario: ScenarioConfig,
     target: Target,
+    /// Time of the scenario of the newest point of a path (s).
+    point_s: f64,
 }
 
 impl TaskContent {
     fn new(scenario: ScenarioConfig) -> Self {
-        Self { scenario, target: Target::default() }
+        Self { scenario, target: Target::default(), point_s: f64::NEG_INFINITY }
     }
 }
 
@@ -282,6 +286,13 @@ impl Content for TaskContent {
             Task::Tip { path, .. } => {
                 target.mode = TargetMode::Tip.wire();
                 let point_s = t_s.map_or(0.0, |t| t + AHEAD_S);
+                if t_s.is_some() {
+                    // In time of the clock: whole nanoseconds.
+                    if point_s < self.point_s + POINTS_S - 1e-9 {
+                        return target;
+                    }
+                    self.point_s = point_s;
+                }
                 (target.position_m, target.quaternion) = path.pose_at(point_s);
                 if t_s.is_some() {
                     target.velocity_mps = path.velocity_at(point_s);
@@ -380,5 +391,26 @@ mod tests {
         clock.see(&state(2_000_000_030, SupervisorState::Tracking));
         assert_eq!(clock.at_s(1_400_000_030), None);
         assert_eq!(clock.at_s(3_500_000_030), Some(2.0));
+    }
+
+    #[test]
+    fn a_loop_of_any_period_gets_no_more_points_than_the_daemon_keeps() {
+        for period_s in [1e-4, 0.001, 0.004, 0.01, 0.02] {
+            let mut content = TaskContent::new(scenario("tip"));
+            let mut points: Vec<u64> = (0..20_000)
+                .map(|k| f64::from(k) * period_s)
+                .take_while(|t| *t < 2.0)
+                .map(|t| content.at(Some(t), 5).valid_from_ns)
+                .collect();
+            points.dedup();
+            assert!(points.is_sorted());
+            let within = |first: u64| points.iter().filter(|p| (first..first + 400_000_000).contains(p)).count();
+            assert!(points.iter().all(|first| within(*first) <= 41), "{period_s}");
+            assert!(
+                points.len() as f64 >= 2.0 / period_s.max(POINTS_S + period_s) - 2.0,
+                "{period_s}: {}",
+                points.len()
+            );
+        }
     }
 }

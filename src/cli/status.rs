@@ -54,6 +54,18 @@ fn text(r: &StatusReport) -> String {
         line(format!("alarm ({}): {}, since {}", alarm.about, alarm.what, alarm.since_utc));
         line(format!("  what it does: {}; what clears it: {}", alarm.does, alarm.clears));
     }
+    let t = &r.tip;
+    let [x, y, z] = t.position_m;
+    let bound = t
+        .three_sigma_m
+        .map_or_else(|| "not known how well".into(), |b| format!("known to {:.1} mm (3 sigma)", 1e3 * b));
+    line(format!("tip: ({x:.4}, {y:.4}, {z:.4}) m, {bound}"));
+    t.error_m.iter().for_each(|e| line(format!("  {:.1} mm from its target", 1e3 * e)));
+    t.curvature_error_1pm.iter().for_each(|e| line(format!("  mean curvatures within {e:.4} 1/m of their target")));
+    t.nearest_m.iter().for_each(|d| line(format!("  nearest obstacle: {:.1} mm", 1e3 * d)));
+    line(format!("tensions: {:.1} to {:.1} N", t.tension_n[0], t.tension_n[1]));
+    let until = if r.speed_scale < 1.0 { ", until the arm is disarmed or `sinew speed 100%`" } else { "" };
+    line(format!("speed: {} % of the configured{until}", (1e4 * r.speed_scale).round() / 100.0));
     let clock = if r.lockstep { "lockstep" } else { "real time" };
     line(format!(
         "loop: {} ticks of {} ms ({clock}); deadlines missed: {} ({} left out, {} overran); {} records dropped",

@@ -75,7 +75,7 @@ pub struct Measured<'a> {
 }
 
 /// The arm's body with every buffer of the search. `new` allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Body {
     geometry: BodyGeometry,
     model: BodyModel,
@@ -87,6 +87,9 @@ pub struct Body {
     stack: Vec<(Sample, Sample)>,
     nearest: BinaryHeap<Ranked>,
     rows: Vec<Proximity>,
+    /// By how much more than its obstacle each element is kept away (m), and the most of it.
+    doubt: Vec<f64>,
+    doubt_max: f64,
     minima: Vec<f64>,
     minima_points: Vec<f64>,
     overflow: usize,
@@ -173,11 +176,22 @@ impl Body {
             stack: Vec::with_capacity(SAMPLES_MAX + 2),
             nearest: BinaryHeap::with_capacity(rows),
             rows: Vec::with_capacity(rows),
+            doubt: vec![0.0; geometry.elements.len()],
+            doubt_max: 0.0,
             minima: Vec::with_capacity(OBSTACLES_MAX),
             minima_points: Vec::with_capacity(OBSTACLES_MAX),
             overflow: 0,
             unresolved: 0,
         }
+    }
+
+    /// What the position of each element may be off by (m): [`Self::find`] counts it to the inflation.
+    ///
+    /// # Panics
+    /// If it is not one number per element.
+    pub fn set_doubt(&mut self, doubt_m: &[f64]) {
+        self.doubt.copy_from_slice(doubt_m);
+        self.doubt_max = doubt_m.iter().copied().fold(0.0, f64::max);
     }
 
     /// Geometry.
@@ -226,16 +240,36 @@ impl Body {
         }
         for (index, obstacle) in obstacles.as_slice().iter().enumerate() {
             let inflation = self.radius + obstacle.growth();
-            let search = Search { obstacle, index, inflation, reach: reach + inflation };
+            let search = Search { obstacle, index, inflation, reach: reach + inflation + self.doubt_max };
             let minimum = match self.model {
                 BodyModel::Points => self.scan_points(&search),
                 BodyModel::Arm => self.scan_arm(&search),
             };
-            self.minima.push(minimum - inflation);
+            self.minima.push(minimum - inflation - self.doubt_max);
         }
         self.rows.extend(self.nearest.drain().map(|ranked| ranked.0));
+        if self.doubt_max > 0.0 {
+            self.take_off_doubt(reach);
+        }
         self.rows.sort_unstable_by_key(|row| Ranked(*row));
         self.found()
+    }
+
+    /// Of the rows found within `reach` and the largest doubt, those within `reach` (m) at their own; distances with it.
+    fn take_off_doubt(&mut self, reach: f64) {
+        let mut seen = [false; OBSTACLES_MAX];
+        for row in &mut self.rows {
+            let doubt = self.doubt[row.point.element];
+            row.inflation += doubt;
+            row.distance -= doubt;
+            let minimum = &mut self.minima[row.obstacle];
+            *minimum = if std::mem::replace(&mut seen[row.obstacle], true) {
+                least(*minimum, row.distance)
+            } else {
+                row.distance
+            };
+        }
+        self.rows.retain(|row| row.distance < reach || row.distance.is_nan());
     }
 
     /// What the last [`Self::find`] found.

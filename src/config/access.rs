@@ -16,7 +16,7 @@ pub enum Who {
 /// Who may do what over the arm's socket. The daemon's user and root always may.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct AccessConfig {
-    /// Who may ask for `stop`, `hold` and `disarm`; `None` for the members of the daemon's own group.
+    /// Who may ask for `stop`, `hold`, `disarm`, the emergency stop and `speed`; `None` for the members of the daemon's own group.
     pub stop: Option<Vec<Who>>,
     /// Who may ask for `status`; `None` for the members of the daemon's own group.
     pub see: Option<Vec<Who>>,
@@ -41,7 +41,7 @@ pub static ACCESS: TableSpec = TableSpec {
             Kind::Texts(Length::Between(0, 32), 64),
             "",
             OWN_GROUP,
-            "Who may ask for `stop`, `hold`, `disarm` and the operator's emergency stop.",
+            "Who may ask for `stop`, `hold`, `disarm`, the operator's emergency stop and `speed`.",
         ),
         Key::optional("see", Kind::Texts(Length::Between(0, 32), 64), "", OWN_GROUP, "Who may ask for `status`."),
         Key::optional(

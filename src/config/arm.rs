@@ -1,6 +1,9 @@
 //! The arm as data: geometry, stiffness, damping, masses, cables.
 
+use super::profile::Profile;
 use serde::Serialize;
+use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// How the chord constraint of an element follows its tangents (design: Simpson's rule is the default).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -65,6 +68,134 @@ pub struct SegmentConfig {
     pub hole_angles_rad: Vec<f64>,
     /// Largest tension of the segment's cables (N), at most the arm's; `None` for the arm's.
     pub tension_n_max: Option<f64>,
+    /// What changes along the segment.
+    #[serde(skip_serializing_if = "Taper::is_empty")]
+    pub taper: Taper,
+    /// Where the holes of its cables lie along the arm.
+    #[serde(skip_serializing_if = "Route::is_empty")]
+    pub route: Route,
+    /// Where each cable ends, as a share of the segment's elements, 0 (excluded) to 1; empty: all at its end.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub cable_ends: Vec<f64>,
+    /// Segment (0-based) from whose base its cables act; `None`: by [`ArmConfig::routing`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cables_from: Option<usize>,
+    /// Axial stiffness EA of its cables (N: force over strain); `None`: they do not stretch.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cable_stiffness_n: Option<f64>,
+    /// Length of its cables between the drums and the arm (m), which stretches as well.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub cable_feed_m: f64,
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
+
+/// Shares of a segment's own numbers along it, place 0 at its base and 1 at its end. Their mean is 1 (that of one over it of
+/// the stiffnesses), such that the segment's numbers are those of the uniform segment nearest to it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Taper {
+    /// Of EI.
+    pub bending: Profile,
+    /// Of GJ.
+    pub torsion: Profile,
+    /// Of the backbone's mass per length.
+    pub backbone_mass: Profile,
+    /// Of the backbone's radius.
+    pub backbone_radius: Profile,
+    /// Of a disk's mass.
+    pub disk_mass: Profile,
+    /// Of a disk's radius.
+    pub disk_radius: Profile,
+}
+
+impl Taper {
+    /// True for a segment that is the same all along.
+    pub fn is_empty(&self) -> bool {
+        let Self { bending, torsion, backbone_mass, backbone_radius, disk_mass, disk_radius } = self;
+        [bending, torsion, backbone_mass, backbone_radius, disk_mass, disk_radius].iter().all(|p| p.is_empty())
+    }
+}
+
+/// Way of a segment's cables along the arm; a place is the segment (0-based) plus the share of its length.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Route {
+    /// Share of the segment's hole radius.
+    pub radius: Profile,
+    /// Turn of all holes about the backbone (rad), from local y towards local z.
+    pub turn: Profile,
+}
+
+impl Route {
+    /// True for cables that are parallel to the backbone.
+    pub fn is_empty(&self) -> bool {
+        self.radius.is_empty() && self.turn.is_empty()
+    }
+}
+
+/// Mass and inertia lumped at a node.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lump {
+    /// Mass (kg), without a payload.
+    pub mass: f64,
+    /// Inertia about the backbone, and about an axis across it (kg m^2).
+    pub axial: f64,
+    /// See `axial`.
+    pub transverse: f64,
+}
+
+impl SegmentConfig {
+    /// Element length (m).
+    pub fn element_length_m(&self) -> f64 {
+        self.length_m / self.elements as f64
+    }
+
+    /// `[GJ, EI]` of an element (N m^2): a moment bends it as it bends the beam there.
+    pub fn element_stiffness_nm2(&self, element: usize) -> [f64; 2] {
+        let n = self.elements as f64;
+        let (a, b) = (element as f64 / n, (element + 1) as f64 / n);
+        [
+            self.torsional_stiffness_nm2 / self.taper.torsion.mean_inverse(a, b),
+            self.bending_stiffness_nm2 / self.taper.bending.mean_inverse(a, b),
+        ]
+    }
+
+    /// What is lumped at the end of an element; `last` for the arm's last segment.
+    pub fn lump(&self, element: usize, last: bool) -> Lump {
+        let n = self.elements as f64;
+        let (l, place) = (self.element_length_m(), (element + 1) as f64 / n);
+        let ends = element + 1 == self.elements;
+        let mut disk = self.disk_mass_kg * self.taper.disk_mass.at(place, 1.0);
+        if ends && !last {
+            disk += self.connector_mass_kg;
+        }
+        // The backbone's share: half an element on either side, so the last node has only one half.
+        let share = self.taper.backbone_mass.mean((element as f64 + 0.5) / n, ((element as f64 + 1.5) / n).min(1.0));
+        let backbone = self.backbone_mass_kgpm * share * l * if ends && last { 0.5 } else { 1.0 };
+        let r2 = (self.disk_radius_m * self.taper.disk_radius.at(place, 1.0)).powi(2);
+        let b2 = (self.backbone_radius_m * self.taper.backbone_radius.at(place, 1.0)).powi(2);
+        let h2 = self.disk_thickness_m.powi(2);
+        Lump {
+            mass: disk + backbone,
+            axial: disk * r2 / 2.0 + backbone * b2 / 2.0,
+            transverse: disk * (r2 / 4.0 + h2 / 12.0) + backbone * (b2 / 4.0 + l * l / 12.0),
+        }
+    }
+
+    /// Elements of the segment that a cable runs through.
+    pub fn cable_elements(&self, cable: usize) -> usize {
+        let all = self.elements as f64;
+        self.cable_ends.get(cable).map_or(self.elements, |end| (end * all).round().max(1.0) as usize)
+    }
+
+    /// Hole of a cable at a place of the arm ([`Route`]): its coordinates along local y and z (m).
+    pub fn hole_m(&self, cable: usize, place: f64) -> [f64; 2] {
+        let radius = self.hole_radius_m * self.route.radius.at(place, 1.0);
+        let angle = self.hole_angles_rad[cable];
+        let angle = if self.route.turn.is_empty() { angle } else { (angle + self.route.turn.at(place, 0.0)) % TAU };
+        [radius * angle.cos(), radius * angle.sin()]
+    }
 }
 
 /// Load at the tip.
@@ -108,6 +239,15 @@ pub struct ArmConfig {
 }
 
 impl ArmConfig {
+    /// Radius of the largest disk (m).
+    pub fn disk_radius_m(&self) -> f64 {
+        let of = |s: &SegmentConfig| {
+            let most = s.taper.disk_radius.0.iter().map(|[_, share]| *share).reduce(f64::max);
+            s.disk_radius_m * most.unwrap_or(1.0)
+        };
+        self.segments.iter().map(of).fold(0.0, f64::max)
+    }
+
     /// Number of nodes N (the clamped base not counted).
     pub fn node_count(&self) -> usize {
         self.segments.iter().map(|s| s.elements).sum()
@@ -146,6 +286,8 @@ impl ArmConfig {
             segment.bending_stiffness_nm2 *= s.powi(6);
             segment.torsional_stiffness_nm2 *= s.powi(6);
             segment.tension_n_max = segment.tension_n_max.map(|n| n * s.powi(4));
+            segment.cable_feed_m *= s;
+            segment.cable_stiffness_n = segment.cable_stiffness_n.map(|ea| ea * s.powi(4));
         }
         arm
     }
@@ -153,6 +295,15 @@ impl ArmConfig {
     /// Largest tension of a segment's cables (N).
     pub fn segment_tension_n_max(&self, segment: &SegmentConfig) -> f64 {
         segment.tension_n_max.unwrap_or(self.tension_n_max)
+    }
+
+    /// Segments whose backbone the cables of a segment run along, its own included.
+    pub fn cable_segments(&self, segment: usize) -> Range<usize> {
+        let from = match self.routing {
+            Routing::Local => segment,
+            Routing::Through => 0,
+        };
+        self.segments[segment].cables_from.unwrap_or(from)..segment + 1
     }
 
     /// Largest tension of each cable (N), segment by segment.

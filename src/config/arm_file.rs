@@ -4,6 +4,7 @@ use super::arm::{ArmConfig, ChordRule, PayloadConfig, Routing, SegmentConfig, St
 use super::error::ConfigError;
 use super::reader::{self, Document, Section};
 use super::schema::{Key, Kind, Length, Range, TableSpec};
+use super::stations::{self, DEFAULT_PLACE, DEFAULT_STATION, PLACE, STATION, route_key, stations_key};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -87,8 +88,8 @@ pub static ARM: TableSpec = TableSpec {
             "tension_rate_npsmax",
             Kind::Float(Range::above(0.0, 1e7)),
             "N/s",
-            "unlimited",
-            "Largest change of a tension per second; part of each tick's box.",
+            "5 tension_n_max omega; unlimited in a scenario's plan",
+            "Largest change of a tension per second, however a target is given; part of each tick's box. omega is the first angular frequency of the straight arm.",
         ),
         Key::default(
             "payload_mass_kg",
@@ -124,96 +125,128 @@ pub static ARM: TableSpec = TableSpec {
 const POSITIVE_LENGTH: Kind = Kind::Float(Range::above(0.0, 10.0));
 
 /// Keys of a segment; the same in the defaults and in each segment.
-const SEGMENT_KEYS: &[Key] = &[
-    Key::required("length_m", POSITIVE_LENGTH, "m", "Backbone length without the connector."),
-    Key::required("elements", Kind::Integer(1, 50), "", "Number of beam elements, each with a disk at its end."),
-    Key::required("bending_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "EI."),
-    Key::required("torsional_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "GJ."),
-    Key::required(
-        "damping_stiffness_s",
-        Kind::Float(Range::closed(0.0, 10.0)),
-        "s",
-        "Stiffness-proportional damping beta; 0.0005 to 0.05 s were tried.",
-    ),
-    Key::required("disk_mass_kg", Kind::Float(Range::above(0.0, 100.0)), "kg", "Mass of one disk."),
-    Key::required(
-        "disk_radius_m",
-        POSITIVE_LENGTH,
-        "m",
-        "Radius of a disk: its inertia, and the body's default radius.",
-    ),
-    Key::required("disk_thickness_m", POSITIVE_LENGTH, "m", "Thickness of a disk."),
-    Key::required(
-        "backbone_mass_kgpm",
-        Kind::Float(Range::closed(0.0, 100.0)),
-        "kg/m",
-        "Backbone mass per length, lumped at the nodes.",
-    ),
-    Key::required("backbone_radius_m", POSITIVE_LENGTH, "m", "Backbone radius, for its rotary inertia."),
-    Key::default(
-        "connector_length_m",
-        Kind::Float(Range::closed(0.0, 10.0)),
-        "m",
-        "0.0",
-        "Rigid connector behind the end disk; the last segment has none, whatever the defaults say.",
-    ),
-    Key::default(
-        "connector_mass_kg",
-        Kind::Float(Range::closed(0.0, 100.0)),
-        "kg",
-        "0.0",
-        "Mass that the connector adds at the end disk; the last segment has none.",
-    ),
-    Key::required("hole_radius_m", POSITIVE_LENGTH, "m", "Radius of the circle of cable holes."),
-    Key::optional(
-        "tension_n_max",
-        Kind::Float(Range::above(0.0, 1e5)),
-        "N",
-        "the arm's",
-        "Largest tension of the segment's cables; at most the arm's, above its least.",
-    ),
-    Key::optional(
-        "cables",
-        Kind::Integer(1, 12),
-        "",
-        "as many as `hole_angles_deg`",
-        "Number of cables, equally spaced; fewer than three do not bend a segment to every side (`sinew check`).",
-    ),
-    Key::default(
-        "hole_start_deg",
-        Kind::Float(Range::closed(-360.0, 360.0)),
-        "deg",
-        "0.0",
-        "Angle of cable 1 from local y towards local z, with `cables`.",
-    ),
-    Key::default(
-        "hole_offset_deg",
-        Kind::Float(Range::closed(-360.0, 360.0)),
-        "deg",
-        "0.0",
-        "Added to all hole angles of the segment, so that segments can differ by it alone.",
-    ),
-    Key::optional(
-        "hole_angles_deg",
-        Kind::Floats(Length::Between(1, 12), Range::closed(-720.0, 720.0)),
-        "deg",
-        "equally spaced",
-        "Angle of each cable's hole, in place of `cables` and `hole_start_deg`.",
-    ),
-];
+const fn segment_keys(stations: Key, route: Key) -> [Key; 24] {
+    [
+        Key::required("length_m", POSITIVE_LENGTH, "m", "Backbone length without the connector."),
+        Key::required("elements", Kind::Integer(1, 50), "", "Number of beam elements, each with a disk at its end."),
+        Key::required("bending_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "EI."),
+        Key::required("torsional_stiffness_nm2", Kind::Float(Range::above(0.0, 1e6)), "N m^2", "GJ."),
+        Key::required(
+            "damping_stiffness_s",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "s",
+            "Stiffness-proportional damping beta; 0.0005 to 0.05 s were tried.",
+        ),
+        Key::required("disk_mass_kg", Kind::Float(Range::above(0.0, 100.0)), "kg", "Mass of one disk."),
+        Key::required(
+            "disk_radius_m",
+            POSITIVE_LENGTH,
+            "m",
+            "Radius of a disk: its inertia, and the body's default radius.",
+        ),
+        Key::required("disk_thickness_m", POSITIVE_LENGTH, "m", "Thickness of a disk."),
+        Key::required(
+            "backbone_mass_kgpm",
+            Kind::Float(Range::closed(0.0, 100.0)),
+            "kg/m",
+            "Backbone mass per length, lumped at the nodes.",
+        ),
+        Key::required("backbone_radius_m", POSITIVE_LENGTH, "m", "Backbone radius, for its rotary inertia."),
+        Key::default(
+            "connector_length_m",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "m",
+            "0.0",
+            "Rigid connector behind the end disk; the last segment has none, whatever the defaults say.",
+        ),
+        Key::default(
+            "connector_mass_kg",
+            Kind::Float(Range::closed(0.0, 100.0)),
+            "kg",
+            "0.0",
+            "Mass that the connector adds at the end disk; the last segment has none.",
+        ),
+        Key::required("hole_radius_m", POSITIVE_LENGTH, "m", "Radius of the circle of cable holes."),
+        Key::optional(
+            "tension_n_max",
+            Kind::Float(Range::above(0.0, 1e5)),
+            "N",
+            "the arm's",
+            "Largest tension of the segment's cables; at most the arm's, above its least.",
+        ),
+        Key::optional(
+            "cables",
+            Kind::Integer(1, 12),
+            "",
+            "as many as `hole_angles_deg`",
+            "Number of cables, equally spaced; fewer than three do not bend a segment to every side (`sinew check`).",
+        ),
+        Key::default(
+            "hole_start_deg",
+            Kind::Float(Range::closed(-360.0, 360.0)),
+            "deg",
+            "0.0",
+            "Angle of cable 1 from local y towards local z, with `cables`.",
+        ),
+        Key::default(
+            "hole_offset_deg",
+            Kind::Float(Range::closed(-360.0, 360.0)),
+            "deg",
+            "0.0",
+            "Added to all hole angles of the segment, so that segments can differ by it alone.",
+        ),
+        Key::optional(
+            "hole_angles_deg",
+            Kind::Floats(Length::Between(1, 12), Range::closed(-720.0, 720.0)),
+            "deg",
+            "equally spaced",
+            "Angle of each cable's hole, in place of `cables` and `hole_start_deg`.",
+        ),
+        Key::optional(
+            "cables_from",
+            Kind::Integer(1, 16),
+            "",
+            "as `routing` says",
+            "Segment, counted from 1, from whose base the cables run through the disks; before it they run in sheaths.",
+        ),
+        Key::optional(
+            "cable_end_disks",
+            Kind::Floats(Length::Between(1, 12), Range::closed(1.0, 50.0)),
+            "",
+            "the last one",
+            "Disk of the segment, counted from 1, at which each cable ends.",
+        ),
+        Key::optional(
+            "cable_stiffness_n",
+            Kind::Float(Range::above(0.0, 1e9)),
+            "N",
+            "cables do not stretch",
+            "Axial stiffness EA of each cable: force over strain. Encoders then tell the length that the drum has let out, and the arm's follows by the tension.",
+        ),
+        Key::default(
+            "cable_feed_m",
+            Kind::Float(Range::closed(0.0, 100.0)),
+            "m",
+            "0.0",
+            "Length of each cable between its drum and the arm, which stretches as well.",
+        ),
+        stations,
+        route,
+    ]
+}
 
 static SEGMENT_DEFAULTS: TableSpec = TableSpec {
     header: "[arm.segment_defaults]",
     name: "segment_defaults",
     about: "What the segments have in common: the keys of `[[arm.segments]]`. A key is required in one of the two places.",
-    keys: SEGMENT_KEYS,
+    keys: &segment_keys(stations_key(&DEFAULT_STATION), route_key(&DEFAULT_PLACE)),
 };
 
 static SEGMENT: TableSpec = TableSpec {
     header: "[[arm.segments]]",
     name: "segments",
     about: "One segment, base to tip. A key that is absent is taken from `[arm.segment_defaults]`.",
-    keys: SEGMENT_KEYS,
+    keys: &segment_keys(stations_key(&STATION), route_key(&PLACE)),
 };
 
 /// Most cables of an arm.
@@ -242,7 +275,7 @@ pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
         tension_n_max: table.float("tension_n_max"),
         tension_rate_npsmax: table.float_opt("tension_rate_npsmax").unwrap_or(f64::INFINITY),
         payload: PayloadConfig { mass_kg: table.float("payload_mass_kg") },
-        segments: segments(&table, table.float("tension_n_min"), table.float("tension_n_max")),
+        segments: segments(&table),
     };
     if arm.cable_count() > CABLES_MAX {
         let help = format!("permitted: at most {CABLES_MAX} cables in all, and at least one for each segment");
@@ -258,7 +291,20 @@ pub(super) fn arm(document: &Document<'_>) -> ArmConfig {
     arm
 }
 
-fn segments(table: &Section<'_>, low_n: f64, high_n: f64) -> Vec<SegmentConfig> {
+/// What a segment needs of the arm: its number (0-based), whether it is the last one, least and largest tension (N), whether
+/// cables run through all disks.
+struct Of {
+    index: usize,
+    last: bool,
+    low_n: f64,
+    high_n: f64,
+    through: bool,
+}
+
+fn segments(table: &Section<'_>) -> Vec<SegmentConfig> {
+    let (low_n, high_n) = (table.float("tension_n_min"), table.float("tension_n_max"));
+    let through = table.choice("routing") == "through";
+    let of = |index, count| Of { index, last: index + 1 == count, low_n, high_n, through };
     let defaults = Rc::new(table.table("segment_defaults"));
     let listed = table.tables("segments", Some(&defaults));
     let count = table.count_opt("segment_count");
@@ -277,20 +323,16 @@ fn segments(table: &Section<'_>, low_n: f64, high_n: f64) -> Vec<SegmentConfig> 
     if listed.is_empty() {
         let count = count.unwrap_or(0);
         let one = |index| table.absent(&SEGMENT, format!("arm.segments[{index}]"), Some(&defaults));
-        (0..count).map(|index| segment(&one(index), index + 1 == count, low_n, high_n)).collect()
+        (0..count).map(|index| segment(&one(index), &of(index, count))).collect()
     } else {
-        listed
-            .iter()
-            .enumerate()
-            .map(|(index, section)| segment(section, index + 1 == listed.len(), low_n, high_n))
-            .collect()
+        listed.iter().enumerate().map(|(index, section)| segment(section, &of(index, listed.len()))).collect()
     }
 }
 
-fn segment(section: &Section<'_>, last: bool, low_n: f64, high_n: f64) -> SegmentConfig {
+fn segment(section: &Section<'_>, of: &Of) -> SegmentConfig {
     let connector = |name: &'static str| {
         let value = section.float(name);
-        if !last {
+        if !of.last {
             return value;
         }
         if section.has_own(name) && value != 0.0 {
@@ -298,23 +340,36 @@ fn segment(section: &Section<'_>, last: bool, low_n: f64, high_n: f64) -> Segmen
         }
         0.0
     };
+    let (numbers, taper) = stations::numbers(section);
+    let cables_from = cables_from(section, of);
+    let usual = if of.through { 0 } else { of.index };
+    let (hole_radius_m, route) = stations::route(section, of.index, cables_from.unwrap_or(usual));
+    let hole_angles_rad = hole_angles(section);
+    let elements = section.count("elements");
     let config = SegmentConfig {
         length_m: section.float("length_m"),
-        elements: section.count("elements"),
-        bending_stiffness_nm2: section.float("bending_stiffness_nm2"),
-        torsional_stiffness_nm2: section.float("torsional_stiffness_nm2"),
+        elements,
+        bending_stiffness_nm2: numbers.bending,
+        torsional_stiffness_nm2: numbers.torsion,
         damping_stiffness_s: section.float("damping_stiffness_s"),
-        disk_mass_kg: section.float("disk_mass_kg"),
-        disk_radius_m: section.float("disk_radius_m"),
+        disk_mass_kg: numbers.disk_mass,
+        disk_radius_m: numbers.disk_radius,
         disk_thickness_m: section.float("disk_thickness_m"),
-        backbone_mass_kgpm: section.float("backbone_mass_kgpm"),
-        backbone_radius_m: section.float("backbone_radius_m"),
+        backbone_mass_kgpm: numbers.backbone_mass,
+        backbone_radius_m: numbers.backbone_radius,
         connector_length_m: connector("connector_length_m"),
         connector_mass_kg: connector("connector_mass_kg"),
-        hole_radius_m: section.float("hole_radius_m"),
-        hole_angles_rad: hole_angles(section),
+        hole_radius_m,
+        cable_ends: cable_ends(section, elements, hole_angles_rad.len()),
+        hole_angles_rad,
         tension_n_max: section.float_opt("tension_n_max"),
+        taper,
+        route,
+        cables_from,
+        cable_stiffness_n: section.float_opt("cable_stiffness_n"),
+        cable_feed_m: section.float("cable_feed_m"),
     };
+    let (low_n, high_n) = (of.low_n, of.high_n);
     if !config.tension_n_max.is_none_or(|n| n > low_n && n <= high_n) && section.is_clean() {
         let help = format!("permitted: > {low_n} N (`tension_n_min`) and <= {high_n} N (`tension_n_max` of the arm)");
         section.refuse("tension_n_max", "outside the arm's tension box", &help);
@@ -327,11 +382,57 @@ fn segment(section: &Section<'_>, last: bool, low_n: f64, high_n: f64) -> Segmen
         );
         section.refuse("length_m", format!("an element is {element_m} m long, shorter than half a disk"), &help);
     }
-    if config.hole_radius_m > config.disk_radius_m {
-        let help = format!("permitted: > 0 and <= {} m", config.disk_radius_m);
-        section.refuse("hole_radius_m", "the holes lie outside the disk (`disk_radius_m`)", &help);
-    }
+    check_holes(section, of.index, &config);
     config
+}
+
+/// Refuses holes outside a disk of the segment.
+fn check_holes(section: &Section<'_>, index: usize, config: &SegmentConfig) {
+    if config.route.radius.is_empty() && config.taper.disk_radius.is_empty() {
+        if config.hole_radius_m > config.disk_radius_m {
+            let help = format!("permitted: > 0 and <= {} m", config.disk_radius_m);
+            section.refuse("hole_radius_m", "the holes lie outside the disk (`disk_radius_m`)", &help);
+        }
+        return;
+    }
+    for disk in 1..=config.elements {
+        let place = disk as f64 / config.elements as f64;
+        let hole_m = config.hole_radius_m * config.route.radius.at(index as f64 + place, 1.0);
+        let disk_m = config.disk_radius_m * config.taper.disk_radius.at(place, 1.0);
+        if hole_m > disk_m * (1.0 + 1e-9) {
+            let key = if config.route.radius.is_empty() { "stations" } else { "route" };
+            let message =
+                format!("disk {disk} has holes at {hole_m:.4} m, outside its `disk_radius_m` of {disk_m:.4} m");
+            section.refuse(key, message, "permitted: holes within every disk of the segment");
+            return;
+        }
+    }
+}
+
+/// The segment (0-based) that the cables start at, where the file says.
+fn cables_from(section: &Section<'_>, of: &Of) -> Option<usize> {
+    let from = section.count_opt("cables_from")?;
+    if from > of.index + 1 {
+        let help = format!("permitted: 1 to {}, its own", of.index + 1);
+        section.refuse("cables_from", "lies behind the segment itself", &help);
+        return None;
+    }
+    Some(from - 1)
+}
+
+/// Where the cables end, as shares of the segment's elements.
+fn cable_ends(section: &Section<'_>, elements: usize, cables: usize) -> Vec<f64> {
+    let Some(disks) = section.floats_opt("cable_end_disks") else { return Vec::new() };
+    if disks.len() != cables && section.is_clean() {
+        let help = format!("permitted: {cables}, one for each cable");
+        section.refuse("cable_end_disks", format!("{} disks", disks.len()), &help);
+    }
+    if disks.iter().any(|disk| disk.fract() != 0.0 || *disk > elements as f64) {
+        let help = format!("permitted: whole numbers from 1 to {elements}, the segment's `elements`");
+        section.refuse("cable_end_disks", "names a disk that the segment does not have", &help);
+        return Vec::new();
+    }
+    disks.iter().map(|disk| disk / elements as f64).collect()
 }
 
 fn hole_angles(section: &Section<'_>) -> Vec<f64> {

@@ -3,7 +3,7 @@
 //! Enters: a checked configuration. Leaves: lines of label and value, ready for a table, and warnings. The buses' load is
 //! computed where their protocol is known and is not part of it.
 
-use super::{BodyModel, BusKind, BusLayout, Config, Routing, ScenarioConfig, Task};
+use super::{BodyModel, BusKind, BusLayout, Config, Routing, ScenarioConfig, SegmentConfig, Task};
 
 /// One line of a summary.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -53,14 +53,39 @@ fn cannot_bend(angles: &[f64]) -> Option<String> {
     })
 }
 
+/// What cables that end before a segment's end cannot do; `None` where those left bend it to every side, or all end there.
+fn bends_part(segment: &SegmentConfig) -> Option<String> {
+    let reach = |c: usize| segment.cable_elements(c);
+    let cables = 0..segment.hole_angles_rad.len();
+    let last = cables.clone().map(reach).filter(|disk| *disk < segment.elements).max()?;
+    let left: Vec<f64> = cables.filter(|c| reach(*c) == segment.elements).map(|c| segment.hole_angles_rad[c]).collect();
+    let beyond = format!("beyond disk {last} of {}", segment.elements);
+    if left.is_empty() {
+        return Some(format!("{beyond} none of its cables bends it; that part follows by its own stiffness"));
+    }
+    cannot_bend(&left).map(|what| format!("{beyond} {what}"))
+}
+
+/// What cables that wind around a segment do beside bending it.
+fn twists(segment: &SegmentConfig, index: usize) -> Option<String> {
+    let turn = |x: f64| segment.route.turn.at(index as f64 + x, 0.0);
+    let wound = (turn(1.0) - turn(0.0)).to_degrees();
+    (wound.abs() > 1.0).then(|| {
+        format!(
+            "its cables wind by {wound:.0} degrees, so they twist it as well; twist is neither steered nor measured"
+        )
+    })
+}
+
 impl Config {
     /// What is permitted, and will hardly do what it is there for.
     pub fn warnings(&self) -> Vec<String> {
         let segments = self.arm.segments.iter().enumerate();
-        let bends = segments.filter_map(|(index, segment)| {
-            cannot_bend(&segment.hole_angles_rad).map(|what| format!("segment {}: {what}", index + 1))
-        });
-        bends.collect()
+        let said = |(index, segment): (usize, &SegmentConfig)| {
+            let all = [cannot_bend(&segment.hole_angles_rad), bends_part(segment), twists(segment, index)];
+            all.into_iter().flatten().map(move |what| format!("segment {}: {what}", index + 1))
+        };
+        segments.flat_map(said).collect()
     }
 
     /// Summary of the arm, the loop, the planner, the observer, the buses and their drives.

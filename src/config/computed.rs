@@ -19,6 +19,7 @@ impl Config {
         )];
         let (p, o, g, w) = (&self.planner, &self.observer, &self.governor, &self.weights.tip);
         let mut add = |key: &str, value: f64, unit: &str| lines.push(line(key, format!("{} {unit}", short(value))));
+        add("arm.tension_rate_npsmax", self.arm.tension_rate_npsmax, "N/s");
         add("loop.period_s", self.timing.period_s, "s");
         add("planner.lookahead_s", p.lookahead_s, "s");
         add("planner.clearance_m", p.clearance_m, "m");

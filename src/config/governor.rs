@@ -5,6 +5,16 @@ use super::scale::Scale;
 use super::schema::{Key, Kind, Range, TableSpec};
 use serde::Serialize;
 
+/// What becomes of a tip target that the arm does not reach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutOfReach {
+    /// The nearest pose is approached.
+    Approach,
+    /// The arm holds where it is.
+    Refuse,
+}
+
 /// Limits of the reference that the arm follows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GovernorConfig {
@@ -24,6 +34,8 @@ pub struct GovernorConfig {
     pub approach_1ps: f64,
     /// A pose counts as reached within this (m).
     pub reach_m: f64,
+    /// What becomes of a tip target that is not reached.
+    pub out_of_reach: OutOfReach,
     /// An attitude error of 1 rad counts as a position error of this (m).
     pub attitude_length_m: f64,
     /// Rate at which swinging is answered (1/s); 0 for not at all.
@@ -95,7 +107,14 @@ pub static GOVERNOR: TableSpec = TableSpec {
             LENGTH,
             "m",
             "0.004 L",
-            "A target whose position the arm misses by more is out of reach: the nearest pose is approached, and `status` says so.",
+            "A target whose position the arm misses by more is out of reach, and `status` says by how much; an attitude error of 1 rad counts as a third of `attitude_length_m`.",
+        ),
+        Key::default(
+            "out_of_reach",
+            Kind::Choice(&["approach", "refuse"]),
+            "",
+            "\"approach\"",
+            "What becomes of a tip target out of reach. `approach`: the arm goes to the nearest pose; `refuse`: it holds where it is, until it is told to track again.",
         ),
         Key::optional(
             "attitude_length_m",
@@ -130,6 +149,7 @@ pub(super) fn read(table: &Section<'_>, scale: &Scale) -> GovernorConfig {
             .float_opt("evasion_mps2")
             .unwrap_or((EVASION_ACCELERATION.0 * omega * omega).min(EVASION_ACCELERATION.1) * length_m),
         approach_1ps: table.float_opt("approach_1ps").unwrap_or(pace(APPROACH)),
+        out_of_reach: if table.choice("out_of_reach") == "refuse" { OutOfReach::Refuse } else { OutOfReach::Approach },
         reach_m: table.float_opt("reach_m").unwrap_or(REACH * length_m),
         attitude_length_m: table.float_opt("attitude_length_m").unwrap_or(ATTITUDE * length_m),
         swing_damping_1ps: table.float_opt("swing_damping_1ps").unwrap_or(SWING * omega),

@@ -26,12 +26,14 @@ mod observer;
 mod obstacles;
 mod planner;
 mod planner_file;
+mod profile;
 pub mod reader;
 mod recording;
 mod scale;
 mod scenario;
 mod scenario_file;
 pub mod schema;
+mod stations;
 mod supervision;
 mod target;
 mod timing;
@@ -48,13 +50,14 @@ pub use drives::{
 };
 pub use error::ConfigError;
 pub use friction::{FRICTION, FrictionConfig};
-pub use governor::{GOVERNOR, GovernorConfig};
+pub use governor::{GOVERNOR, GovernorConfig, OutOfReach};
 pub use guard::{GUARD, GuardConfig};
 pub use ipc::{IPC, IpcConfig};
 pub use observer::{OBSERVER, ObserverConfig};
 pub use obstacles::{LostAction, OBSTACLES, ObstaclePolicyConfig};
 pub use planner::*;
 pub use planner_file::{PLANNER, SCENARIO_PLANNER};
+pub use profile::Profile;
 pub use recording::{RECORDING, RecordingConfig};
 pub use scale::Scale;
 pub use scenario::*;
@@ -73,26 +76,7 @@ use std::path::PathBuf;
 /// of files can be given to both.
 static PLANT: TableSpec = TableSpec { header: "[plant]", name: "plant", about: "The simulated plant.", keys: &[] };
 
-/// All top-level tables of the daemon's files.
-pub static TABLES: &[&TableSpec] = &[
-    &ARM,
-    &LOOP,
-    &PLANNER,
-    &WEIGHTS,
-    &OBSERVER,
-    &FRICTION,
-    &GOVERNOR,
-    &GUARD,
-    &SUPERVISION,
-    &OBSTACLES,
-    &TARGET,
-    &DRIVES,
-    &IPC,
-    &ACCESS,
-    &RECORDING,
-];
-
-/// What the daemon's files may hold.
+/// What the daemon's files may hold: its own tables, and the plant's.
 static KNOWN_TABLES: &[&TableSpec] = &[
     &ARM,
     &LOOP,
@@ -111,6 +95,9 @@ static KNOWN_TABLES: &[&TableSpec] = &[
     &RECORDING,
     &PLANT,
 ];
+
+/// All top-level tables of the daemon's files.
+pub static TABLES: &[&TableSpec] = KNOWN_TABLES.split_at(KNOWN_TABLES.len() - 1).0;
 
 /// Everything that the daemon needs to know.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -158,6 +145,22 @@ impl Config {
         reader::read_files(paths, KNOWN_TABLES, Self::build)
     }
 
+    /// The same with the arm changed before anything is computed from it; without files the built-in ones.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_changed(paths: &[PathBuf], change: impl Fn(&mut ArmConfig)) -> Result<Self, ConfigError> {
+        let build = |document: &Document<'_>| {
+            let mut arm = arm_file::arm(document);
+            change(&mut arm);
+            Self::build_for(document, arm)
+        };
+        if paths.is_empty() {
+            return reader::read(builtin_texts("drives.toml"), KNOWN_TABLES, build);
+        }
+        reader::read_files(paths, KNOWN_TABLES, build)
+    }
+
     /// The same from texts in memory: pairs of a name, which stands for the file in messages, and its content.
     ///
     /// # Errors
@@ -184,9 +187,13 @@ impl Config {
         Self::build_for(document, arm_file::arm(document))
     }
 
-    fn build_for(document: &Document<'_>, arm: ArmConfig) -> Self {
+    fn build_for(document: &Document<'_>, mut arm: ArmConfig) -> Self {
         let scale = Scale::of(&arm);
-        let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
+        if arm.tension_rate_npsmax.is_infinite() {
+            // In closed loop alone: a scenario's plan is the paper's, without one.
+            arm.tension_rate_npsmax = scale.tension_rate_npsmax();
+        }
+        let disk_radius_m = arm.disk_radius_m();
         let planner_table = document.table_or_defaults(&PLANNER);
         let given_s = planner_table.float_opt("lookahead_s");
         let lookahead_s = given_s.unwrap_or_else(|| planner_file::lookahead_s(&scale));

@@ -38,6 +38,16 @@ pub struct ObserverConfig {
     /// Ticks from a measurement until the tensions answering it act beyond the ordinary one-tick cycle;
     /// compensated by model steps with the tensions already sent.
     pub latency_ticks: usize,
+    /// Standard deviation of a measured bend angle as a share of it, and of the bend to the side of it.
+    pub scale_sigma: f64,
+    /// As named.
+    pub side_sigma: f64,
+    /// Standard deviation of a measured bend angle that does not depend on it (rad).
+    pub bend_sigma_rad: f64,
+    /// Standard deviation of the tip's position by swinging, over the swing that there may be (peak to peak).
+    pub swing_sigma: f64,
+    /// Standard deviations of the estimated position by which obstacles are kept away beside the clearance.
+    pub margin_sigmas: f64,
 }
 
 /// `[observer]`.
@@ -144,6 +154,41 @@ pub static OBSERVER: TableSpec = TableSpec {
             "0",
             "Ticks between a measurement and the effect of its answer beyond the ordinary cycle; compensated by model steps.",
         ),
+        Key::default(
+            "scale_sigma",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.002",
+            "Standard deviation of a measured bend as a share of it: disks, holes, drums. What the estimate may be off, `sinew status` shows, and obstacles are kept away for.",
+        ),
+        Key::default(
+            "side_sigma",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.001",
+            "... of the bend to the side, as a share of the bend: torsion turns the plane that a segment bends in.",
+        ),
+        Key::default(
+            "bend_sigma_rad",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "rad",
+            "5e-4",
+            "... that does not depend on the bend: encoder steps, play of the cables in their holes.",
+        ),
+        Key::default(
+            "swing_sigma",
+            Kind::Float(Range::closed(0.0, 1.0)),
+            "",
+            "0.1",
+            "... of the tip's position by swinging, over the swing that there may be, peak to peak.",
+        ),
+        Key::default(
+            "margin_sigmas",
+            Kind::Float(Range::closed(0.0, 10.0)),
+            "",
+            "3.0",
+            "So many standard deviations of the estimated position are kept from obstacles beside `planner.clearance_m`.",
+        ),
     ],
 };
 
@@ -186,6 +231,11 @@ pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, scale: &Scale) -> Obser
         innovation_growth_rad: table.float("innovation_growth_rad"),
         innovation_window_s: table.float("innovation_window_s"),
         latency_ticks: table.count("latency_ticks"),
+        scale_sigma: table.float("scale_sigma"),
+        side_sigma: table.float("side_sigma"),
+        bend_sigma_rad: table.float("bend_sigma_rad"),
+        swing_sigma: table.float("swing_sigma"),
+        margin_sigmas: table.float("margin_sigmas"),
     };
     if config.settle_timeout_s <= config.settle_time_s {
         let help = format!("permitted: > {} s (`settle_time_s`) and <= 600 s", config.settle_time_s);

@@ -30,7 +30,7 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
             "lookahead_s",
             POSITIVE_SECONDS,
             "s",
-            "0.078 / omega, in two digits or whole periods",
+            "0.078 / omega, in two digits or whole periods, at least 5",
             "Lookahead eta: the implicit step that is planned.",
         ),
         Key::default(
@@ -94,7 +94,7 @@ const fn shared(newton: &'static str, clearance: &'static str, swarm: &'static T
     ]
 }
 
-const DAEMON: [Key; 11] = shared("2", "0.0036 L", &SWARM);
+const DAEMON: [Key; 11] = shared("2", "0.0018 L", &SWARM);
 const SCENARIO: [Key; 11] = shared("30", "0", &SCENARIO_SWARM);
 
 macro_rules! with_shared {
@@ -294,12 +294,16 @@ fn swarm(table: &Section<'_>, scale: &Scale) -> SwarmConfig {
 const LOOKAHEAD: f64 = 0.0784;
 /// Lengths over the arm's, and what they are on the paper's of 2.75 m: clearance in closed loop, margin of the warning
 /// subspace, its hysteresis, reach of the barrier.
-const CLEARANCE: f64 = 0.01 / 2.75;
+const CLEARANCE: f64 = 0.005 / 2.75;
 const WARNING: f64 = 0.01 / 2.75;
 const HYSTERESIS: f64 = 0.005 / 2.75;
 const ACTIVATION: f64 = 0.15 / 2.75;
 /// Spread of the swarm's normal particles over the largest tension: 2 N of 220 N.
 const SIGMA: f64 = 2.0 / 220.0;
+
+/// Least periods of a lookahead: a loop that plans for the next tick alone takes in it all of what an obstacle asks for, and
+/// jerks.
+const PERIODS_MIN: f64 = 5.0;
 
 /// Lookahead (s) of an arm, in two digits, as far as nothing else is said.
 pub(super) fn lookahead_s(scale: &Scale) -> f64 {
@@ -320,7 +324,7 @@ pub(super) fn read(
     let daemon = period_s.is_some();
     let lookahead_s = given_s.unwrap_or_else(|| {
         let natural = lookahead_s(scale);
-        period_s.map_or(natural, |period| period * (natural / period).round().max(1.0))
+        period_s.map_or(natural, |period| period * (natural / period).round().max(PERIODS_MIN))
     });
     let period_key = if period_s.is_some() { "lookahead_s" } else { "period_s" };
     let period_s = period_s.unwrap_or_else(|| table.float_opt("period_s").unwrap_or(lookahead_s));

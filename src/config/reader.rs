@@ -375,10 +375,13 @@ impl<'d> Section<'d> {
         Section::open(self.document, spec, self.path_of(name), found, None)
     }
 
-    /// The tables of an array of tables; empty if it is absent. Each looks keys that it lacks up in `fallback`.
+    /// The tables of an array of tables, this table's or the one's behind it; empty if it is absent. Each looks keys that it lacks up in `fallback`.
     pub fn tables(&self, name: &'static str, fallback: Option<&Rc<Section<'d>>>) -> Vec<Section<'d>> {
         let Some(key) = self.asked_key(name) else { return Vec::new() };
         let Kind::Tables(length, spec) = key.kind else { return Vec::new() };
+        if let Some(behind) = self.fallback.as_ref().filter(|behind| !self.has_own(name) && behind.has(name)) {
+            return behind.tables(name, fallback);
+        }
         let Some((found, value)) = self.found.as_ref().and_then(|found| Some((found, found.table.get(name)?))) else {
             if key.presence == Presence::Required {
                 self.missing(key);

@@ -32,11 +32,20 @@ impl Scale {
         }
     }
 
+    /// Largest change of a tension per second in closed loop (N/s), where none is given.
+    pub fn tension_rate_npsmax(&self) -> f64 {
+        TENSION_RATE * self.tension_n * self.omega_radps
+    }
+
     /// So many times the inverse of the first angular frequency (s).
     pub fn time_s(&self, share: f64) -> f64 {
         share / self.omega_radps
     }
 }
+
+/// Largest rate of a tension over the largest tension times the first angular frequency: twice what the loop was seen to use
+/// (docs/DESIGN.md).
+const TENSION_RATE: f64 = 5.0;
 
 /// Steps of the power iteration; the second frequency is at least 2.5 times the first, so 12 would do.
 const ITERATIONS: usize = 40;
@@ -89,18 +98,14 @@ impl Chain {
         let mut connector = 0.0;
         for (s, segment) in arm.segments.iter().enumerate() {
             let last = s + 1 == arm.segments.len();
-            let l = segment.length_m / segment.elements as f64;
             for e in 0..segment.elements {
-                let end = e + 1 == segment.elements;
-                // As the model has it: half an element of backbone on either side of a node.
-                let backbone = segment.backbone_mass_kgpm * l * if end && last { 0.5 } else { 1.0 };
-                let disk = segment.disk_mass_kg + if end && !last { segment.connector_mass_kg } else { 0.0 };
-                let [r, h, b] = [segment.disk_radius_m, segment.disk_thickness_m, segment.backbone_radius_m];
-                chain.mass.push(disk + backbone + if end && last { arm.payload.mass_kg } else { 0.0 });
-                chain.inertia.push(disk * (r * r / 4.0 + h * h / 12.0) + backbone * (b * b / 4.0 + l * l / 12.0));
+                let (lump, l) = (segment.lump(e, last), segment.element_length_m());
+                let tip = last && e + 1 == segment.elements;
+                chain.mass.push(lump.mass + if tip { arm.payload.mass_kg } else { 0.0 });
+                chain.inertia.push(lump.transverse);
                 chain.length.push(l);
                 chain.connector.push(if e == 0 { connector } else { 0.0 });
-                chain.stiffness.push(segment.bending_stiffness_nm2 / l);
+                chain.stiffness.push(segment.element_stiffness_nm2(e)[1] / l);
             }
             connector = if last { 0.0 } else { segment.connector_length_m };
         }

@@ -356,7 +356,7 @@ fn build(document: &Document<'_>) -> ScenarioConfig {
         refuse_other_length(&root, "weight_tension_change", change.len(), segments, "one per segment");
     }
     let weight_tension = root.float_opt("weight_tension").or(weight_tension_change.as_ref().map(|_| 1.0));
-    let disk_radius_m = arm.segments.iter().map(|segment| segment.disk_radius_m).fold(0.0, f64::max);
+    let disk_radius_m = arm.disk_radius_m();
     let planner_table = root.table("planner");
     let planner = planner_file::read(
         &planner_table,

@@ -240,7 +240,7 @@ pub enum Limit {
     EncoderBridged = 8,
     /// Obstacles hold the arm back on its way; the reference waits.
     Blocked = 9,
-    /// The target is out of reach; the nearest pose is approached.
+    /// The target is out of reach: the nearest pose is approached, or the arm holds.
     OutOfReach = 10,
     /// The tip swings by more than `supervision.swing_m`.
     Swinging = 16,
@@ -299,7 +299,7 @@ impl Limit {
             Self::PlanSingular => "planning step failed: last tensions kept",
             Self::EncoderBridged => "missing reading bridged by the model",
             Self::Blocked => "the way is blocked: waiting",
-            Self::OutOfReach => "target out of reach: approaching the nearest pose",
+            Self::OutOfReach => "the target is out of reach",
             Self::Swinging => "the arm swings",
             Self::TipSpeed => "the tip is faster than declared",
             Self::BendRate => "a segment bends faster than declared",

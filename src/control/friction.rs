@@ -76,6 +76,11 @@ impl FrictionCompensation {
         }
     }
 
+    /// Smoothed direction of each cable, -1 to 1: what the next update depends on.
+    pub fn memory(&mut self) -> &mut [f64] {
+        &mut self.direction
+    }
+
     /// What acts along each cable's route over what its drum pulls.
     pub fn factors(&self) -> &[f64] {
         &self.factor

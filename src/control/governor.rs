@@ -7,12 +7,16 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
-use crate::config::{ArmConfig, GovernorConfig, PlannerConfig, Scale};
+use super::pace::Pace;
+use super::path::{Path, Way};
+use super::reach::Reach;
+use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, OutOfReach, PlannerConfig, Scale};
+use crate::estimator::PositionCovariance;
 use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
 use crate::posture::{
-    Inverse, InverseSettings, Met, Outcome, POSE, Reference, ReferenceSettings, RestingArm, Surroundings, Wanted,
-    pose_error, pose_weights, segment_lengths,
+    InverseSettings, Met, POSE, Reference, ReferenceSettings, RestingArm, Search, Surroundings, Wanted, pose_error,
+    pose_weights, segment_lengths,
 };
 use nalgebra::{Vector3, Vector4};
 
@@ -47,28 +51,17 @@ const BLOCKED_RAD: f64 = 0.1;
 /// By how much farther than the planner the reference keeps from obstacles, over the arm's length: the planner's rows are
 /// for what the reference could not know.
 const AHEAD_OF_PLANNER: f64 = 7e-4;
-/// What a posture's load beyond it counts as, over the reach.
-const OVERLOAD: f64 = 100.0;
 /// Root mean square speed of the arm's mass up to which a tip keeps its task, over the arm's length (1/s).
 const QUIET: f64 = 0.04;
+/// Largest standard deviation of a position that obstacles are given way for, over the arm's length: an arm that swings because it
+/// dodges must not dodge the more for it.
+const SIGMA_MAX: f64 = 0.0025;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
 const ITERATIONS_PER_TICK: usize = 2;
-/// Iterations after which a start of the inverse statics is given up.
-const ITERATIONS_MAX: usize = 120;
-/// Iterations have ended where no bend angle changes by more than this (rad).
-const CONVERGED_RAD: f64 = 2e-5;
-/// The pose is reached as well as it can be where another centre changes no bend angle by more than this (rad).
-const RECENTRED_RAD: f64 = 1e-3;
-/// Samples along a path for its length.
-const SAMPLES: usize = 16;
-/// Peak rate, acceleration and where a quintic from rest to rest has them: 15/8 and 10/sqrt(3).
-const PEAK_RATE: f64 = 1.875;
-const PEAK_ACCELERATION: f64 = 5.774;
-
 /// The governor of one arm. [`Governor::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Governor {
     settings: GovernorConfig,
     /// Time constants (s) of the mean that a swing goes about, of the answer to it, and of the way back.
@@ -77,32 +70,35 @@ pub struct Governor {
     approach_s: f64,
     /// A target that moves by more than this at once is a step (m).
     step_m: f64,
-    /// Range of the tensions of each segment's cables (N).
-    tension_range_n: Vec<f64>,
-    inverse: Inverse,
+    /// The search for the posture of a new target, and the way to it.
+    search: Search,
+    way: Way,
     /// Length of the segment of each curvature (m).
     length: Vec<f64>,
     tensions: Vec<f64>,
     kind: Kind,
-    /// Target that `inverse` is at or on its way to.
+    /// Target that the search is at or on its way to.
     position: Vector3<f64>,
     quaternion: Vector4<f64>,
-    /// Iterations so far and starts tried, while a new target is looked for.
-    solving: Option<(usize, usize)>,
     /// At rest after a tip target: the tip is held, and whether it is already known where.
     holds_tip: Option<bool>,
-    /// Best equilibrium so far of those starts, and its error.
-    best: RestingArm,
-    best_error: f64,
+    /// How near the arm gets to the tip target; `None` while that is looked for.
+    reach: Option<Reach>,
+    /// Time for which a tip target that is followed has been missed with nothing in the way (s).
+    missed_s: f64,
     goal: Vec<f64>,
-    /// Coefficients of `e` over time/duration, six per curvature.
-    offset: Vec<[f64; 6]>,
-    duration: f64,
-    time: f64,
+    /// `e`.
+    path: Path,
     /// What the path wants, at this tick and the one before (1/m).
     desired: Vec<f64>,
     before_desired: Vec<f64>,
     reference: Reference,
+    covariance: PositionCovariance,
+    sigmas: f64,
+    /// Largest standard deviation that obstacles are given way for (m).
+    sigma_max_m: f64,
+    doubt: Vec<f64>,
+    possible_swing_m: f64,
     rate: Vec<f64>,
     acceleration: Vec<f64>,
     drift: Vec<f64>,
@@ -111,27 +107,28 @@ pub struct Governor {
     swing: Vec<f64>,
     mean: Vec<f64>,
     answer: Vec<f64>,
-    /// Pace at which targets are approached, and the one asked for: 1 unless something asks to slow down.
-    pace: f64,
-    pace_wanted: f64,
-    /// Target of the tick before.
+    /// Pace at which targets are approached: 1 unless something asks to slow down.
+    pace: Pace,
+    /// Target of the tick before, with the limits on its motion, and as it was given.
     last: (Vector3<f64>, Vector4<f64>),
+    wished: (Vector3<f64>, Vector4<f64>),
     met: Met,
     /// Time for which the way has been blocked (s).
     blocked_s: f64,
     /// Time for which the reference has not come nearer to the goal after its path (s).
     stuck_s: f64,
-    outcome: Option<Outcome>,
     blocked: bool,
-    q: Vec<f64>,
-    chain: Vec<f64>,
-    joints: Vec<Vector3<f64>>,
-    before: Vec<Vector3<f64>>,
 }
 
 impl Governor {
     /// For an arm. Allocates.
-    pub fn new(arm: &Arm, config: &ArmConfig, settings: &GovernorConfig, planner: &PlannerConfig) -> Self {
+    pub fn new(
+        arm: &Arm,
+        config: &ArmConfig,
+        settings: &GovernorConfig,
+        planner: &PlannerConfig,
+        observer: &ObserverConfig,
+    ) -> Self {
         let scale = Scale::of(config);
         let tension_n = config.tension_n_min;
         let inverse = InverseSettings { attitude_length_m: settings.attitude_length_m, ..InverseSettings::default() };
@@ -155,24 +152,26 @@ impl Governor {
             fade_s: scale.time_s(FADE),
             approach_s: scale.time_s(APPROACH),
             step_m: STEP * config.length_m(),
-            tension_range_n,
-            inverse: Inverse::new(arm, &inverse),
+            search: Search::new(arm, &inverse, &tension_range_n),
+            way: Way::new(arm, &length),
             length,
             tensions: vec![tension_n; arm.cable_count()],
             kind: Kind::Rest,
             position: Vector3::zeros(),
             quaternion: Vector4::new(1.0, 0.0, 0.0, 0.0),
-            solving: None,
             holds_tip: None,
-            best: RestingArm::new(arm),
-            best_error: f64::INFINITY,
+            reach: None,
+            missed_s: 0.0,
             goal: vec![0.0; count],
-            offset: vec![[0.0; 6]; count],
-            duration: 0.0,
-            time: 0.0,
+            path: Path::new(count),
             desired: vec![0.0; count],
             before_desired: vec![0.0; count],
             reference: Reference::new(arm, config, planner.body_radius_m, &around),
+            covariance: PositionCovariance::new(arm, observer),
+            sigmas: observer.margin_sigmas,
+            sigma_max_m: SIGMA_MAX * config.length_m(),
+            doubt: vec![0.0; arm.elements.len()],
+            possible_swing_m: 0.0,
             rate: vec![0.0; count],
             acceleration: vec![0.0; count],
             drift: vec![0.0; count],
@@ -180,18 +179,13 @@ impl Governor {
             swing: vec![0.0; count],
             mean: vec![0.0; count],
             answer: vec![0.0; count],
-            pace: 1.0,
-            pace_wanted: 1.0,
+            pace: Pace::new(settings),
             last: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
+            wished: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
             met: Met::default(),
             blocked_s: 0.0,
             stuck_s: 0.0,
-            outcome: None,
             blocked: false,
-            q: arm.straight(),
-            chain: vec![0.0; count],
-            joints: vec![Vector3::zeros(); arm.segment_count()],
-            before: vec![Vector3::zeros(); arm.segment_count()],
         }
     }
 
@@ -203,6 +197,26 @@ impl Governor {
     /// Swing of the arm beside its reference, as the motion in curvatures that is nearest to it (1/m).
     pub fn swing(&self) -> &[f64] {
         &self.swing
+    }
+
+    /// The swing that there may be, of the tip (m, peak to peak).
+    pub fn set_swing(&mut self, swing_m: f64) {
+        self.possible_swing_m = swing_m;
+    }
+
+    /// What the position of each element may be off by (m): [`ObserverConfig::margin_sigmas`] standard deviations.
+    pub fn doubt_m(&self) -> &[f64] {
+        &self.doubt
+    }
+
+    /// How well the estimate knows where the arm is.
+    pub const fn covariance(&self) -> &PositionCovariance {
+        &self.covariance
+    }
+
+    /// What the answer to the arm's swing remembers (1/m): the swing's mean, the answer.
+    pub fn memory(&mut self) -> [&mut [f64]; 2] {
+        [&mut self.mean, &mut self.answer]
     }
 
     /// Mean curvatures to command (1/m): the reference's, and what takes energy out of the arm's swing.
@@ -234,9 +248,14 @@ impl Governor {
         &self.reference.rest().state().q
     }
 
-    /// Pace at which targets are to be approached, taken on within some tenths of a second; evasion keeps its own.
+    /// Pace at which targets are to be approached, for supervision; evasion keeps its own.
     pub fn set_pace(&mut self, pace: f64) {
-        self.pace_wanted = pace;
+        self.pace.set_pace(pace);
+    }
+
+    /// Share of the configured speed that an operator asks for; the smaller of pace and scale counts.
+    pub fn set_scale(&mut self, scale: f64) {
+        self.pace.set_scale(scale);
     }
 
     /// What the last step met.
@@ -249,19 +268,14 @@ impl Governor {
         (self.position, self.quaternion)
     }
 
-    /// Largest bend angle between two postures (rad).
-    fn bend_between(&self, a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).zip(&self.length).map(|((a, b), l)| (a - b).abs() * l).fold(0.0, f64::max)
-    }
-
     /// Time until the path of the last step ends (s), if nothing is in its way.
     pub fn remaining_s(&self) -> f64 {
-        self.duration - self.time
+        self.path.remaining_s()
     }
 
     /// Whether a new target is still being looked for.
     pub fn is_solving(&self) -> bool {
-        self.solving.is_some()
+        self.search.is_under_way()
     }
 
     /// Whether the arm cannot follow, and the reference waits.
@@ -271,7 +285,7 @@ impl Governor {
 
     /// Whether a way to mean curvatures (1/m) is over, and the reference is there.
     pub fn has_arrived(&self, curvatures: &[f64]) -> bool {
-        self.kind == Kind::Shape && !self.on_path() && self.bend_between(self.reference(), curvatures) < ARRIVED_RAD
+        self.kind == Kind::Shape && !self.on_path() && self.way.bend_between(self.reference(), curvatures) < ARRIVED_RAD
     }
 
     /// Whether a way is over without having led to its goal.
@@ -279,17 +293,13 @@ impl Governor {
         self.stuck_s > STUCK_S
     }
 
-    /// How well the posture reaches the tip target; `None` where there is none.
-    pub fn outcome(&self) -> Option<Outcome> {
-        self.outcome
-    }
-
     /// Starts from where the arm is, a shape `q` with multipliers and mean curvatures (1/m), at rest.
     pub fn restart(&mut self, q: &[f64], lambda: &[f64], curvatures: &[f64]) {
         self.kind = Kind::Rest;
         self.holds_tip = None;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
+        self.reach = None;
+        self.pace.restart();
         self.blocked = false;
         self.blocked_s = 0.0;
         self.stuck_s = 0.0;
@@ -301,9 +311,7 @@ impl Governor {
         self.mean.fill(0.0);
         self.answer.fill(0.0);
         self.command.copy_from_slice(curvatures);
-        self.offset.fill([0.0; 6]);
-        self.duration = 0.0;
-        self.time = 0.0;
+        self.path.end();
     }
 
     /// One tick of `h` seconds towards what is wanted; `curvatures` (1/m) are those of the arm. Does not allocate.
@@ -316,7 +324,7 @@ impl Governor {
         around: Option<&Surroundings<'_>>,
     ) {
         self.before_desired.copy_from_slice(&self.desired);
-        self.pace += h / (PACE_S + h) * (self.pace_wanted - self.pace);
+        self.pace.advance(h);
         match *wish {
             Wish::Rest => {
                 if self.kind != Kind::Rest {
@@ -332,11 +340,13 @@ impl Governor {
     /// A posture is held as it is, a tip where it comes to rest.
     fn come_to_rest(&mut self) {
         self.holds_tip = if self.kind == Kind::Tip { Some(false) } else { None };
+        if !self.is_refused() {
+            self.reach = None;
+        }
         self.kind = Kind::Rest;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
         // As far as the present rates carry while they fade, at four times the acceleration of a path.
-        let speed = self.speed();
+        let speed = self.way.speed(self.reference.rest().curvatures(), &self.rate);
         let fade_s = (0.5 * speed / self.settings.acceleration_mps2).max(0.2);
         for i in 0..self.goal.len() {
             self.goal[i] = self.reference()[i] + 0.5 * fade_s * self.rate[i];
@@ -352,8 +362,8 @@ impl Governor {
             .fold(0.0, f64::max);
         let new = self.kind != Kind::Shape || step > STEP_RAD;
         self.kind = Kind::Shape;
-        self.solving = None;
-        self.outcome = None;
+        self.search.cancel();
+        self.reach = None;
         for i in 0..self.goal.len() {
             // What no cable moves is left as it is.
             self.goal[i] = if self.reference.rest().is_moved(i) { kappa[i] } else { self.reference()[i] };
@@ -363,228 +373,161 @@ impl Governor {
         }
     }
 
+    /// Speed of a tip target that is followed (m/s), and rate of its turning (rad/s), at the present pace.
+    fn limits(&self) -> (f64, f64) {
+        (self.pace.now() * self.settings.speed_mps, self.pace.now() * self.settings.turn_rate_radps)
+    }
+
     fn follow_tip(&mut self, h: f64, position: &Vector3<f64>, quaternion: &Vector4<f64>) {
         let gap = position - self.position;
         let turn = rotation_between(&self.quaternion, quaternion);
-        let new = self.kind != Kind::Tip || gap.norm() > self.step_m || turn.norm() > STEP_RAD;
+        // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
+        // rest of the way is a path.
+        let (moved, turned) = ((position - self.wished.0).norm(), rotation_between(&self.wished.1, quaternion).norm());
+        let (speed, rate) = self.limits();
+        let is_step = |gap: f64, turn: f64| gap > self.step_m || turn > STEP_RAD;
+        let runs = moved > speed * h || turned > rate * h;
+        let new = self.kind != Kind::Tip || is_step(moved, turned) || (!runs && is_step(gap.norm(), turn.norm()));
+        self.wished = (*position, *quaternion);
         if new {
             self.kind = Kind::Tip;
             self.position = *position;
             self.quaternion = *quaternion;
-            self.best_error = f64::INFINITY;
-            self.solving = Some((0, 0));
-            // Of all postures the one that is nearest.
-            self.inverse.rest_mut().copy_from(self.reference.rest());
-            self.inverse.centre_at(self.reference.rest().curvatures().iter().copied());
+            self.reach = None;
+            self.missed_s = 0.0;
+            self.search.begin(self.reference.rest());
             self.last = (*position, *quaternion);
         } else {
             self.last = (self.position, self.quaternion);
             // A target that runs faster than the limit is followed at the limit.
             let share = |size: f64, most: f64| if size > most { most / size } else { 1.0 };
-            let s = share(gap.norm(), self.pace * self.settings.speed_mps * h);
+            let s = share(gap.norm(), speed * h);
             self.position += s * gap;
-            let s = share(turn.norm(), self.pace * self.settings.turn_rate_radps * h);
+            let s = share(turn.norm(), rate * h);
             self.quaternion = product(&self.quaternion, &from_rotation_vector(&(s * turn))).normalize();
         }
-        match self.solving {
-            Some((iterations, starts)) => self.solve(iterations, starts),
-            None if self.time < self.duration && self.last.0 != self.position => {
-                if let Ok(outcome) = self.inverse.iterate(&self.tensions, &self.position, &self.quaternion) {
-                    self.outcome = Some(outcome);
-                    self.goal.copy_from_slice(self.inverse.rest().curvatures());
-                }
-            }
-            None => {}
+        if self.search.is_under_way() {
+            self.solve();
+        } else if self.path.is_under_way()
+            && self.last.0 != self.position
+            && self.search.inverse_mut().iterate(&self.tensions, &self.position, &self.quaternion).is_ok()
+        {
+            self.goal.copy_from_slice(self.search.inverse_mut().rest().curvatures());
         }
     }
 
-    fn solve(&mut self, mut iterations: usize, mut starts: usize) {
-        for _ in 0..ITERATIONS_PER_TICK {
-            let outcome = self.inverse.iterate(&self.tensions, &self.position, &self.quaternion);
-            iterations += 1;
-            let ended = match outcome {
-                Ok(outcome) => {
-                    let mut converged = outcome.change_rad < CONVERGED_RAD;
-                    if converged {
-                        // What bending costs has held it off the pose: from here it costs nothing, until that changes nothing.
-                        let rest = self.inverse.rest().curvatures();
-                        let off = rest.iter().zip(self.inverse.centre()).zip(&self.length);
-                        converged = off.map(|((k, c), l)| (k - c).abs() * l).fold(0.0, f64::max) < RECENTRED_RAD;
-                        self.inverse.recentre();
-                    }
-                    if converged || iterations == ITERATIONS_MAX {
-                        // A posture beyond the cables' tensions is none.
-                        let mut load = 0.0f64;
-                        for segment in 0..self.joints.len() {
-                            load = load.max(self.inverse.rest().load_into(
-                                segment,
-                                self.tension_range_n[segment],
-                                &mut self.drift,
-                            ));
-                        }
-                        let over = OVERLOAD * self.settings.reach_m * (load - 1.0).max(0.0);
-                        let error = outcome.position_m + 0.1 * outcome.attitude_rad + over;
-                        if error < self.best_error {
-                            self.best_error = error;
-                            self.best.copy_from(self.inverse.rest());
-                            self.outcome = Some(outcome);
-                        }
-                        true
-                    } else {
-                        false
-                    }
-                }
-                Err(_) => true,
-            };
-            if !ended {
-                continue;
-            }
-            let reached = self.best_error < self.settings.reach_m;
-            if !reached && starts < STARTS {
-                starts += 1;
-                iterations = 0;
-                self.chain_of_start(starts);
-                self.inverse.rest_mut().restart(&self.chain);
-                self.inverse.centre_at(std::iter::repeat(0.0));
-                continue;
-            }
-            if self.best_error.is_finite() {
-                self.inverse.rest_mut().copy_from(&self.best);
-                self.goal.copy_from_slice(self.best.curvatures());
-                self.begin(None);
-            }
-            self.solving = None;
+    fn solve(&mut self) {
+        let (target, reach_m) = ((self.position, self.quaternion), self.settings.reach_m);
+        let attitude_length_m = self.settings.attitude_length_m;
+        let of = |rest: &RestingArm, load: f64| Reach::of(rest, load, &target, reach_m, attitude_length_m);
+        let error = |rest: &RestingArm, load: f64| of(rest, load).error_m(reach_m, attitude_length_m);
+        let ended =
+            (0..ITERATIONS_PER_TICK).any(|_| self.search.iterate(&self.tensions, &target.0, &target.1, reach_m, error));
+        if !ended {
             return;
         }
-        self.solving = Some((iterations, starts));
+        let Some((best, load)) = self.search.best() else {
+            // No equilibrium at all was found on the way there.
+            self.reach = Some(Reach { is_out: true, ..of(self.reference.rest(), 0.0) });
+            return;
+        };
+        self.reach = Some(of(best, load));
+        // A target that is refused moves nothing.
+        if self.settings.out_of_reach == OutOfReach::Approach || !self.reach.is_some_and(|reach| reach.is_out) {
+            self.goal.copy_from_slice(best.curvatures());
+            self.begin(None);
+        }
     }
 
-    /// Whether the target is farther away than its posture reaches.
+    fn reach_of(&self, rest: &RestingArm, load: f64) -> Reach {
+        let target = (self.position, self.quaternion);
+        Reach::of(rest, load, &target, self.settings.reach_m, self.settings.attitude_length_m)
+    }
+
+    /// How near the arm gets to the tip target; `None` without one, or while that is looked for. Of a target that was refused
+    /// it stays until there is another.
+    pub fn reach(&self) -> Option<&Reach> {
+        self.reach.as_ref()
+    }
+
+    /// Whether the target is farther away than the arm reaches.
     pub fn is_out_of_reach(&self) -> bool {
-        self.kind == Kind::Tip && self.solving.is_none() && self.best_error > self.settings.reach_m
+        self.kind == Kind::Tip && self.reach.is_some_and(|reach| reach.is_out)
     }
 
-    /// Other postures to start from: straight, then bent towards one side after another.
-    fn chain_of_start(&mut self, start: usize) {
-        self.chain.fill(0.0);
-        if start > 1 {
-            let angle = 2.4 * start as f64;
-            for (i, k) in self.chain.iter_mut().enumerate() {
-                let bend = if (i / 2) % 2 == start % 2 { 0.9 } else { 0.3 };
-                *k = bend / self.length[i] * if i % 2 == 0 { angle.cos() } else { angle.sin() };
-            }
+    /// Whether the target is out of reach and is not to be approached: the arm is to hold.
+    pub fn is_refused(&self) -> bool {
+        self.settings.out_of_reach == OutOfReach::Refuse && self.is_out_of_reach()
+    }
+
+    /// While a target is followed: whether it has left the reach, or is back. What an obstacle, or the arm's lag, keeps from it
+    /// has not.
+    fn watch_reach(&mut self, h: f64) {
+        let now = self.reach_of(self.reference.rest(), self.met.load_max);
+        if now.is_out && !self.met.hindered {
+            self.missed_s += h;
+        } else if !now.is_out {
+            self.missed_s = 0.0;
         }
+        let was_out = self.is_out_of_reach();
+        let is_out = now.is_out && (was_out || self.missed_s > MISSED_S);
+        self.reach = Some(Reach { is_out, ..now });
     }
 
-    /// Makes `e` what lies between reference and goal, with the reference's motion, and fade.
+    /// Makes `e` what lies between reference and goal, with the reference's motion, and fade; within a time that is given, at
+    /// the limits of a path without one.
     fn begin(&mut self, duration_s: Option<f64>) {
-        let t = duration_s.unwrap_or_else(|| self.duration_for());
-        for i in 0..self.goal.len() {
-            let (c0, c1, c2) =
-                (self.reference()[i] - self.goal[i], self.rate[i] * t, 0.5 * self.acceleration[i] * t * t);
-            self.offset[i] = [
-                c0,
-                c1,
-                c2,
-                -10.0 * c0 - 6.0 * c1 - 3.0 * c2,
-                15.0 * c0 + 8.0 * c1 + 3.0 * c2,
-                -6.0 * c0 - 3.0 * c1 - c2,
-            ];
-        }
-        self.duration = t;
-        self.time = 0.0;
+        // The path's own time goes by at the pace: a given time is one of the clock.
+        let pace = self.pace.now();
+        let kappa = self.reference.rest().curvatures();
+        let own_s = duration_s.map_or_else(
+            || {
+                let speed = self.way.speed(kappa, &self.rate);
+                self.way.duration_s(kappa, &self.goal, pace * speed, &self.settings)
+            },
+            |clock_s| pace * clock_s,
+        );
+        let offset = kappa.iter().zip(&self.goal).map(|(kappa, goal)| kappa - goal);
+        let motion = self.rate.iter().zip(&self.acceleration);
+        self.path.begin(
+            own_s,
+            pace,
+            offset.zip(motion).map(|(offset, (rate, acceleration))| (offset, *rate, *acceleration)),
+        );
         self.blocked_s = 0.0;
-        self.desired.copy_from_slice(self.reference.rest().curvatures());
+        self.desired.copy_from_slice(kappa);
         self.before_desired.copy_from_slice(&self.desired);
-    }
-
-    /// Speed of the reference's fastest joint (m/s), by the constant-curvature chain.
-    fn speed(&mut self) -> f64 {
-        let dt = 1e-3;
-        self.joints_at(0.0);
-        let before: Vector3<f64> = self.joints[self.joints.len() - 1];
-        for i in 0..self.chain.len() {
-            self.chain[i] = self.reference()[i] + dt * self.rate[i];
-        }
-        self.place_joints();
-        (self.joints[self.joints.len() - 1] - before).norm() / dt
-    }
-
-    fn joints_at(&mut self, share: f64) {
-        for i in 0..self.chain.len() {
-            let from = self.reference()[i];
-            self.chain[i] = from + share * (self.goal[i] - from);
-        }
-        self.place_joints();
-    }
-
-    fn place_joints(&mut self) {
-        let arm = self.inverse.rest().arm();
-        arm.bent_into(&self.chain, &mut self.q);
-        for (joint, range) in self.joints.iter_mut().zip(&arm.segment_elements) {
-            *joint = arm.pose(&self.q, range.end).0;
-        }
-    }
-
-    /// Time (s) in which the way from reference to goal keeps to the limits.
-    fn duration_for(&mut self) -> f64 {
-        let s = self.settings;
-        let speed = self.speed();
-        let mut fastest = 0.0f64;
-        self.joints_at(0.0);
-        self.before.copy_from_slice(&self.joints);
-        for k in 1..=SAMPLES {
-            self.joints_at(k as f64 / SAMPLES as f64);
-            for (joint, before) in self.joints.iter().zip(&mut self.before) {
-                fastest = fastest.max((joint - *before).norm() * SAMPLES as f64);
-                *before = *joint;
-            }
-        }
-        let bend = self.bend_between(self.reference(), &self.goal);
-        (PEAK_RATE * fastest / s.speed_mps)
-            .max((PEAK_ACCELERATION * fastest / s.acceleration_mps2).sqrt())
-            .max(PEAK_RATE * bend / s.bend_rate_radps)
-            .max(4.0 * speed / s.acceleration_mps2)
-            .max(0.1)
     }
 
     /// Whether a path after a step is under way.
     fn on_path(&self) -> bool {
-        self.time < self.duration
+        self.path.is_under_way()
     }
 
     fn move_on(&mut self, h: f64, q: &[f64], curvatures: &[f64], around: Option<&Surroundings<'_>>) {
-        let mut pace = self.pace;
+        let full_pace = self.pace.now();
+        let mut pace = full_pace;
         self.blocked = false;
         let on_path = self.on_path();
         if on_path {
             // Both what the reference lacks of the path, because of obstacles, and what the arm lacks of the reference.
             let error = self
+                .way
                 .bend_between(self.reference(), curvatures)
-                .max(2.0 * self.bend_between(self.reference(), &self.desired));
+                .max(2.0 * self.way.bend_between(self.reference(), &self.desired));
             let free = (2.0 - error / BLOCKED_RAD).clamp(0.0, 1.0);
             pace *= free;
             self.blocked = free < 0.5;
             self.blocked_s = if self.blocked { self.blocked_s + h } else { 0.0 };
         }
-        self.time = (self.time + pace * h).min(self.duration);
+        self.path.advance(pace * h);
         if self.blocked_s > GIVE_UP_S {
-            self.time = self.duration;
+            self.path.give_up();
         }
-        let away = self.kind == Kind::Shape && self.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
-        self.stuck_s = if away && !on_path { self.stuck_s + h } else { 0.0 };
-        let x = if self.duration > 0.0 { self.time / self.duration } else { 1.0 };
-        let t = self.duration.max(1e-9);
+        let away = self.kind == Kind::Shape && self.way.bend_between(self.reference(), &self.goal) > ARRIVED_RAD;
+        self.stuck_s = if away && !on_path { self.stuck_s + full_pace * h } else { 0.0 };
         for i in 0..self.goal.len() {
-            let c = &self.offset[i];
-            let (e, e2) = if x >= 1.0 {
-                (0.0, 0.0)
-            } else {
-                (
-                    c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5])))),
-                    (2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * 20.0 * c[5]))) / (t * t),
-                )
-            };
+            let (e, e2) = self.path.at(i);
             self.desired[i] = self.goal[i] + e;
             self.acceleration[i] = pace * pace * e2;
         }
@@ -592,6 +535,11 @@ impl Governor {
             return;
         }
         self.damp(h);
+        self.covariance.update(curvatures, self.reference.ends(), self.possible_swing_m);
+        let sigma = self.covariance.element_sigma_m();
+        let most_m = self.sigma_max_m;
+        self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma.min(most_m));
+        self.reference.set_doubt(&self.doubt);
         if self.kind == Kind::Rest && !on_path && self.holds_tip == Some(false) {
             (self.position, self.quaternion) = self.reference.rest().tip();
             self.holds_tip = Some(true);
@@ -600,7 +548,7 @@ impl Governor {
             self.last = (self.position, self.quaternion);
         }
         let steers_tip = match self.kind {
-            Kind::Tip => self.solving.is_none(),
+            Kind::Tip => !self.search.is_under_way() && !self.is_refused(),
             Kind::Rest => self.holds_tip == Some(true),
             Kind::Shape => false,
         };
@@ -610,7 +558,7 @@ impl Governor {
         if following {
             // As far as nothing else is at stake, the posture stays.
             self.drift.fill(0.0);
-            drift_weight = self.inverse.effort();
+            drift_weight = self.search.effort();
             let at = self.reference.rest().tip();
             let lacks = pose_error(&at, &self.last.0, &self.last.1);
             let moved = pose_error(&(self.position, self.quaternion), &self.last.0, &self.last.1);
@@ -618,7 +566,8 @@ impl Governor {
             let gap = Vector3::new(lacks[0], lacks[1], lacks[2]).norm();
             let turn = Vector3::new(lacks[3], lacks[4], lacks[5]).norm();
             let least = |size: f64, most: f64| if share * size > most { most / size } else { share };
-            let (sr, st) = (least(gap, self.settings.speed_mps * h), least(turn, self.settings.turn_rate_radps * h));
+            let (speed, rate) = self.limits();
+            let (sr, st) = (least(gap, speed * h), least(turn, rate * h));
             let mut change = [0.0; POSE];
             for r in 0..POSE {
                 change[r] = moved[r] - if r < 3 { sr } else { st } * lacks[r];
@@ -628,17 +577,17 @@ impl Governor {
             self.desired.copy_from_slice(kappa);
         } else {
             // Back to the path as slowly as anywhere.
-            let lacks = self.bend_between(kappa, &self.before_desired);
+            let lacks = self.way.bend_between(kappa, &self.before_desired);
             let share = (h / self.approach_s).min(1.0);
-            let most = self.settings.bend_rate_radps * h;
+            let most = full_pace * self.settings.bend_rate_radps * h;
             let back = if share * lacks > most { most / lacks } else { share };
             for i in 0..self.drift.len() {
                 self.drift[i] = self.desired[i] - self.before_desired[i] + back * (self.before_desired[i] - kappa[i]);
             }
             // What obstacles held back is not made up for faster than any way is gone.
-            let far = self.reference.farthest(&self.drift);
-            if far > self.settings.speed_mps * h {
-                self.drift.iter_mut().for_each(|d| *d *= self.settings.speed_mps * h / far);
+            let (far, most) = (self.reference.farthest(&self.drift), full_pace * self.settings.speed_mps * h);
+            if far > most {
+                self.drift.iter_mut().for_each(|d| *d *= most / far);
             }
         }
         let wanted = Wanted { drift: &self.drift, drift_weight, tip };
@@ -653,12 +602,15 @@ impl Governor {
             self.goal.copy_from_slice(self.reference.rest().curvatures());
             self.desired.copy_from_slice(&self.goal);
             self.acceleration.fill(0.0);
+            if self.kind == Kind::Tip {
+                self.watch_reach(h);
+            }
         }
     }
 }
 
-/// Time constant with which another pace is taken on (s).
-const PACE_S: f64 = 0.3;
+/// Time for which a target that is followed may be missed before it counts as out of reach (s).
+const MISSED_S: f64 = 1.0;
 /// Over the inverse of the first angular frequency: time constants of the mean that a swing goes about, with which the answer
 /// to a swing fades, and with which the reference makes up for what it lacks.
 const MEAN: f64 = 2.35;
@@ -670,8 +622,6 @@ const GIVE_UP_S: f64 = 1.0;
 const ARRIVED_RAD: f64 = 0.01;
 /// Time after a path without its goal from which it is not waited for (s).
 const STUCK_S: f64 = 5.0;
-/// Starts tried after the first.
-const STARTS: usize = 6;
 
 /// Rotation vector (rad, frame of `a`) that takes attitude `a` to `b` the short way.
 fn rotation_between(a: &Vector4<f64>, b: &Vector4<f64>) -> Vector3<f64> {

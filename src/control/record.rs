@@ -1,6 +1,7 @@
 //! Everything about a tick, as one `Copy` value of fixed size: what telemetry takes away from the control thread.
 
 use super::fault::{Latched, Limits};
+use super::reach::Reach;
 use super::supervisor::{DrivesPhase, Mode};
 use super::target::Target;
 use super::{CABLES_MAX, CURVATURES_MAX, CableMask, NODES_MAX};
@@ -56,6 +57,12 @@ pub struct Record {
     pub limits: Limits,
     /// Swing of the tip that there may be, peak to peak (m); 0 where nothing was watched yet.
     pub swing_m: f64,
+    /// Covariance of the estimated tip position (m^2, base frame), row by row; NaN where nothing was estimated yet.
+    pub tip_covariance_m2: [f64; 9],
+    /// Speed over the configured one that was asked for.
+    pub speed_scale: f64,
+    /// How near the arm gets to the tip target; `None` without one, or while that is looked for.
+    pub reach: Option<Reach>,
     /// Drives.
     pub drives: DrivesPhase,
     /// Missed deadlines that are not forgotten.
@@ -139,6 +146,9 @@ impl Default for Record {
             fault_count: 0,
             limits: Limits::default(),
             swing_m: 0.0,
+            tip_covariance_m2: [f64::NAN; 9],
+            speed_scale: 1.0,
+            reach: None,
             drives: DrivesPhase::Off,
             deadlines_missed: 0,
             events_dropped: 0,

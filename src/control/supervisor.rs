@@ -23,6 +23,7 @@
 //! | Starting | `settle_timeout_s` is over before it moves | fault `DrivesNotUp`, `EncoderSilent` or `NotSettled`, by what is missing |
 //! | Tracking | target absent or too old (`TargetStale`), obstacles expired (`ObstaclesExpired`) | -> Holding |
 //! | Homing | home reached; obstacles expired | -> Holding |
+//! | Tracking | the target is out of reach and refused (`governor.out_of_reach`) | -> Holding |
 //! | Tracking, Homing | the supervision asks to hold ([`super::supervision`]) | -> Holding |
 //! | Stopping | rest posture reached, around obstacles as on any way | ramp to the safe tension, then drives off |
 //! | Stopping | ramp over, drives off, arm at rest | -> Disarmed |
@@ -221,6 +222,8 @@ pub struct Observed {
     pub obstacles: ObstacleDemand,
     /// What the supervision asks to hold for.
     pub hold: Option<Limit>,
+    /// Whether the tip target is out of reach, and refused for it; looked at in [`Mode::Tracking`].
+    pub unreachable: bool,
     /// Whether the tensions are at the safe value.
     pub at_safe_tension: bool,
     /// Whether the home pose is reached; looked at in [`Mode::Homing`].
@@ -533,6 +536,7 @@ impl Supervisor {
                 let limit = seen.hold.unwrap_or(Limit::Swinging);
                 self.go(Mode::Holding, Cause::Limit(limit), seen);
             }
+            Mode::Tracking if seen.unreachable => self.go(Mode::Holding, Cause::Limit(Limit::OutOfReach), seen),
             Mode::Tracking if !seen.target_fresh => self.go(Mode::Holding, Cause::Limit(Limit::TargetStale), seen),
             Mode::Homing if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
             Mode::Homing if seen.at_home => self.go(Mode::Holding, Cause::Done, seen),

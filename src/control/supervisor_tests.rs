@@ -27,6 +27,7 @@ fn well() -> Observed {
         target_fresh: true,
         obstacles: ObstacleDemand::Proceed,
         hold: None,
+        unreachable: false,
         at_safe_tension: false,
         at_home: false,
         lowered: true,
@@ -83,6 +84,17 @@ fn ask(mode: Mode, request: Request, seen: &Observed) -> Result<Mode, Refusal> {
             Err(refusal)
         }
     }
+}
+
+#[test]
+fn a_target_that_is_refused_leads_to_a_hold_that_tells_why() {
+    let mut supervisor = in_mode(Mode::Tracking);
+    let decision = supervisor.step(&Observed { unreachable: true, ..well() });
+    assert_eq!((supervisor.mode(), decision.action), (Mode::Holding, Action::Hold));
+    assert!(decision.limits.contains(Limit::OutOfReach));
+    assert!(supervisor.step(&well()).limits.contains(Limit::OutOfReach), "as long as it holds for it");
+    let decision = supervisor.step(&Observed { request: Some(Request::Track), ..well() });
+    assert!(supervisor.mode() == Mode::Tracking && !decision.limits.contains(Limit::OutOfReach));
 }
 
 #[test]

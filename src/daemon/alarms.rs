@@ -4,6 +4,7 @@
 //! Enters: the newest record, what is known of the drives and of the process. Leaves: a list in a fixed order, a line of the
 //! log where an alarm begins or ends. The main thread looks ten times a second; nothing here is on the way of a tick.
 
+use super::reach::ReachStatus;
 use super::status::{DriveStatus, FaultStatus};
 use crate::control::Limit;
 use crate::ipc::payload::{AlarmCode, AlarmRecord, RejectCause, SourceHealth, SourceReport, State, SupervisorState};
@@ -167,7 +168,10 @@ fn of_limit(limit: Limit, state: &State) -> Option<Alarm> {
     let answer = |key: &str| format!("as `supervision.{key}` says");
     let (does, clears) = match limit {
         Limit::Blocked => ("the arm waits".into(), "the obstacle moves, or another target"),
-        Limit::OutOfReach => ("the nearest pose is approached".into(), "a target within reach"),
+        Limit::OutOfReach => {
+            let does = ReachStatus::of(state).map_or_else(|| "the nearest pose is approached".into(), |r| r.text());
+            (does, "a target within reach")
+        }
         Limit::Swinging => (format!("{:.0} mm; {}", 1e3 * state.swing_m, answer("swing_answer")), "it fades"),
         Limit::TipSpeed => (answer("tip_speed_answer"), "it fades"),
         Limit::BendRate => (answer("bend_rate_answer"), "it fades"),

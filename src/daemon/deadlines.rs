@@ -159,6 +159,7 @@ mod tests {
             target_fresh: true,
             obstacles: ObstacleDemand::Proceed,
             hold: None,
+            unreachable: false,
             at_safe_tension: false,
             at_home: false,
             lowered: true,

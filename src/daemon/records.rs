@@ -2,7 +2,7 @@
 
 use super::obstacles::{PairReader, unkey};
 use crate::config::WarningBranch;
-use crate::control::{Answer, Cause, Event, EventKind, Fault, Limit, Mode, Record, Refusal, Request, Target, Timing};
+use crate::control::{Cause, Event, EventKind, Fault, Limit, Mode, Record, Refusal, Request, Target, Timing};
 use crate::ipc::payload::{
     MAX_CURVATURES, MAX_TRACKED, ObstacleDistance, PlannerBranch, PlannerStatus, RefusalReason, RequestKind, State,
     SupervisorState, TargetMode, TickTiming,
@@ -33,9 +33,11 @@ pub fn request_of(kind: RequestKind) -> Option<Request> {
         RequestKind::Clear => Some(Request::Clear),
         RequestKind::Stop => Some(Request::Stop),
         RequestKind::Home => Some(Request::Home),
-        RequestKind::SetTarget | RequestKind::Status | RequestKind::EmergencyStop | RequestKind::EmergencyRelease => {
-            None
-        }
+        RequestKind::SetTarget
+        | RequestKind::Status
+        | RequestKind::EmergencyStop
+        | RequestKind::EmergencyRelease
+        | RequestKind::Speed => None,
     }
 }
 
@@ -85,14 +87,14 @@ pub fn refusal_text(reason: RefusalReason, detail: u32) -> &'static str {
     }
 }
 
-/// The answer to a command that the supervisor has decided on.
-pub fn reply(command: &Command, answer: &Answer, mode: Mode, fault: Option<Fault>) -> Reply {
+/// The answer to a command that was decided on.
+pub fn reply(command: &Command, refusal: Option<Refusal>, mode: Mode, fault: Option<Fault>) -> Reply {
     let accepted = Reply {
         fault_code: fault.map_or(0, |f| f.code()),
         fault_detail: fault.map_or(0, |f| f.detail()),
         ..Reply::accepted(command, supervisor_state(mode))
     };
-    match answer.refusal {
+    match refusal {
         None => accepted,
         Some(refusal) => {
             let (reason, detail) = refusal_reason(refusal);
@@ -224,6 +226,11 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
     state.timing = timing(&record.timing);
     state.limits = u64::from(record.limits.0);
     state.swing_m = record.swing_m;
+    state.tip_covariance_m2 = record.tip_covariance_m2;
+    state.speed_scale = record.speed_scale;
+    let unknown = (f64::NAN, f64::NAN, f64::NAN, [f64::NAN; 3]);
+    (state.reach_miss_m, state.reach_miss_rad, state.reach_load, state.reach_nearest_m) =
+        record.reach.map_or(unknown, |r| (r.miss_m, r.miss_rad, r.load, r.nearest_m.into()));
 }
 
 /// The branch that plans in the warning subspace, on the wire.
@@ -327,9 +334,8 @@ mod tests {
 
     #[test]
     fn a_refused_request_keeps_the_latched_fault_in_its_answer() {
-        let command = Command { ticket: 7, kind: RequestKind::Arm };
-        let answer = Answer { request: Request::Arm, refusal: Some(Refusal::Faulted) };
-        let reply = reply(&command, &answer, Mode::Faulted, Some(Fault::BusLost { bus: 3 }));
+        let command = Command { ticket: 7, kind: RequestKind::Arm, speed_scale: 1.0 };
+        let reply = reply(&command, Some(Refusal::Faulted), Mode::Faulted, Some(Fault::BusLost { bus: 3 }));
         assert_eq!(
             (reply.ticket, reply.reason, reply.fault_code, reply.fault_detail),
             (7, RefusalReason::Faulted, 13, 3)

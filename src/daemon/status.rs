@@ -5,6 +5,7 @@
 
 use super::alarms::{Alarm, Alarms, Seen};
 use super::operator::{Address, OperatorError, Said, Word};
+use super::reach::{self, ReachStatus};
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
 use crate::config::CableNames;
@@ -12,6 +13,7 @@ use crate::control::Fault;
 use crate::ipc::payload::{
     AlarmRecord, ObstacleDistance, RejectCause, SourceHealth, SourceReport, State, SupervisorState,
 };
+use nalgebra::Matrix3;
 use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
 use sinew_hal::clock::seconds_to_ns;
@@ -123,6 +125,23 @@ impl DistanceStatus {
     }
 }
 
+/// Where the arm is, as far as it is known.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct TipStatus {
+    /// Estimated position of the tip (m, base frame).
+    pub position_m: [f64; 3],
+    /// Three standard deviations of it, in the direction in which they are largest (m); null where nothing was estimated yet.
+    pub three_sigma_m: Option<f64>,
+    /// Its distance from the target (m); null without a target for the tip.
+    pub error_m: Option<f64>,
+    /// Largest error of a mean curvature (1/m); null without a target for the shape.
+    pub curvature_error_1pm: Option<f64>,
+    /// Smallest distance between an obstacle and the arm's surface (m); null without obstacles.
+    pub nearest_m: Option<f64>,
+    /// Smallest and largest tension commanded (N).
+    pub tension_n: [f64; 2],
+}
+
 /// Everything.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusReport {
@@ -140,6 +159,14 @@ pub struct StatusReport {
     pub fault: Option<FaultStatus>,
     /// What is wrong now, the fault among it.
     pub alarms: Vec<Alarm>,
+    /// Where the arm is, as far as it is known.
+    pub tip: TipStatus,
+    /// Speed over the configured one that was asked for (`sinew speed`); 1 after the arm was disarmed.
+    pub speed_scale: f64,
+    /// By how much the tip target is out of reach; null where it is not.
+    pub reach: Option<ReachStatus>,
+    /// Whether it is not known yet if the tip target that is followed is within reach.
+    pub reach_sought: bool,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -358,6 +385,10 @@ impl Shared {
             mode: mode_text(state.supervisor).into(),
             fault: fault_status(&state, &fixed.cables),
             alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
+            tip: tip_status(&state),
+            speed_scale: state.speed_scale,
+            reach: ReachStatus::of(&state),
+            reach_sought: reach::is_sought(&state),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,
@@ -379,6 +410,26 @@ impl Shared {
             time_us,
             threads,
         }
+    }
+}
+
+fn tip_status(state: &State) -> TipStatus {
+    let known = |x: f64| x.is_finite().then_some(x);
+    let covariance = Matrix3::from_column_slice(&state.tip_covariance_m2);
+    let largest = known(covariance.sum()).map(|_| covariance.symmetric_eigenvalues().max().max(0.0));
+    let distances = &state.distances[..(state.distance_count as usize).min(state.distances.len())];
+    let tensions = &state.tension_command_n[..(state.cable_count as usize).min(state.tension_command_n.len())];
+    TipStatus {
+        position_m: state.tip_position_m,
+        three_sigma_m: largest.map(|largest| 3.0 * largest.sqrt()),
+        error_m: known(state.tip_error_m),
+        curvature_error_1pm: known(state.curvature_error_1pm),
+        nearest_m: distances.iter().map(|d| d.surface_distance_m).reduce(f64::min).and_then(known),
+        tension_n: [
+            tensions.iter().copied().fold(f64::NAN, f64::min),
+            tensions.iter().copied().fold(f64::NAN, f64::max),
+        ]
+        .map(|x| if x.is_nan() { 0.0 } else { x }),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::obstacles::PairBuilder;
 use super::status::TickNotes;
-use super::tick::FIRST_SYNC;
+use super::tick::{FIRST_SYNC, SPEED};
 use crate::config::CableNames;
 use crate::control::Fault;
 use crate::ipc::payload::{Obstacles, State, Target};
@@ -50,6 +50,7 @@ impl Tap for Taps {
             }
             100..300 => tracing::info!(code = event.code, tick = event.tick, "{}", event.text),
             FIRST_SYNC => tracing::debug!(number = event.value, "{}", event.text),
+            SPEED => tracing::info!(scale = event.value, tick = event.tick, "{}", event.text),
             300..400 => tracing::info!(cause = event.detail, tick = event.tick, "mode: {}", event.text),
             _ => tracing::info!(refused = event.detail, tick = event.tick, "request: {}", event.text),
         }

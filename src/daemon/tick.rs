@@ -10,7 +10,7 @@ use super::watch::Watch;
 use crate::config::{Config, LostAction};
 use crate::control::{
     Budget, CableMask, Cycle, DrivesInput, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand, ObstaclePair,
-    Request, Target, TargetInput, TickInputs, Timing,
+    Refusal, Request, Target, TargetInput, TickInputs, Timing,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, RequestKind, SourceHealth, State, TargetMode};
@@ -55,6 +55,8 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
 
 /// Code of the event that tells, by its value, how many SYNCs had been sent with that of tick 0.
 pub const FIRST_SYNC: u32 = 500;
+/// Code of the event that tells, by its value, at what share of the configured speed the arm moves from now on.
+pub const SPEED: u32 = 501;
 
 /// What the loop asks for by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -146,6 +148,8 @@ pub(crate) struct Controller<E> {
     gave_up: bool,
     /// The operator's emergency stop is pressed.
     emergency: bool,
+    /// The speed that the last event told.
+    speed_told: f64,
     warning: PlannerBranch,
     torques: Vec<i16>,
     lengths: Vec<f64>,
@@ -183,6 +187,7 @@ impl<E: Estimator> Controller<E> {
             rng,
             auto,
             emergency: false,
+            speed_told: 1.0,
             limits: limits(config, time_is_lockstep),
             require_source: config.obstacles.require_source,
             stop_if_lost: config.obstacles.lost == LostAction::Stop,
@@ -270,7 +275,7 @@ impl<E: Estimator> Controller<E> {
         self.publish(time);
         let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
         if let (Some(command), Some(answer)) = (command, &output.answer) {
-            self.outputs.reply(records::reply(&command, answer, output.mode, fault));
+            self.outputs.reply(records::reply(&command, answer.refusal, output.mode, fault));
         }
         Ticked { mode: output.mode, drives, sent_ns, branch: Branch::of(&self.state) }
     }
@@ -369,6 +374,11 @@ impl<E: Estimator> Controller<E> {
             match command.kind {
                 RequestKind::EmergencyStop => self.emergency = true,
                 RequestKind::EmergencyRelease => self.emergency = false,
+                RequestKind::Speed => {
+                    let reply = self.take_speed(&command);
+                    self.outputs.reply(reply);
+                    continue;
+                }
                 _ => {}
             }
             match records::request_of(command.kind) {
@@ -391,6 +401,21 @@ impl<E: Estimator> Controller<E> {
         (None, None)
     }
 
+    /// The speed that is asked for; a stop keeps its own, and leads to full speed.
+    fn take_speed(&mut self, command: &Command) -> Reply {
+        let mode = self.cycle.mode();
+        let refusal = match mode {
+            Mode::Stopping => Some(Refusal::Stopping),
+            Mode::Faulted => Some(Refusal::Faulted),
+            _ => None,
+        };
+        if refusal.is_none() {
+            self.cycle.set_speed_scale(command.speed_scale);
+        }
+        let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
+        records::reply(command, refusal, mode, fault)
+    }
+
     /// Hands record and events to the I/O thread.
     fn publish(&mut self, time: &TickTime) {
         let now_ns = time.now_ns;
@@ -402,6 +427,20 @@ impl<E: Estimator> Controller<E> {
         state.encoder_report = self.inputs.encoders().report(now_ns, &self.limits.encoders);
         state.ticks_missed = time.left_out;
         self.outputs.record(state);
+        if state.speed_scale != self.speed_told {
+            self.speed_told = state.speed_scale;
+            let (value, text) = (state.speed_scale, "speed over the configured one");
+            self.outputs.event(crate::ipc::Event {
+                time_ns: now_ns,
+                tick: time.tick,
+                code: SPEED,
+                detail: 0,
+                flags: 0,
+                value,
+                second: f64::NAN,
+                text,
+            });
+        }
         while let Some(event) = self.cycle.events_mut().pop() {
             self.outputs.event(records::event(&event));
         }

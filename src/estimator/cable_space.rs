@@ -1,12 +1,14 @@
 //! Cable space: measured lengths reduced to the bend angles that cables can tell, two per segment.
 //!
 //! `J` (cables x 2 segments) is the straight arm's length Jacobian: a cable of hole `rho [cos phi, sin phi]` lengthens
-//! by `rho (a cos phi + b sin phi)` in each segment that it runs through. `T = J (J^T J)^-1` is its transposed
+//! by `rho (a cos phi + b sin phi)` in each segment that it runs through, by the mean along it where its holes change or it
+//! ends on the way. `T = J (J^T J)^-1` is its transposed
 //! pseudo-inverse, so `T^T` takes lengths to bend angles and `T` takes bending moments to tensions. For even holes and
 //! `local` routing this is `[cos phi, sin phi] 2/(n rho)`; the general form also covers uneven holes, `through`
 //! routing, and cables without a measurement, whose rows are zero.
 
 use crate::model::Arm;
+use std::ops::Range;
 
 /// A bend angle whose pivot falls below this share of its diagonal is not observable from the cables left.
 const PIVOT_MIN: f64 = 1e-3;
@@ -28,9 +30,9 @@ impl CableSpace {
         let (nc, angles) = (arm.cable_count(), 2 * arm.segment_count());
         let mut jacobian = vec![0.0; nc * angles];
         for (s, range) in arm.segment_elements.iter().enumerate() {
-            for pass in &arm.passes[arm.elements[range.start].passes.clone()] {
-                jacobian[pass.cable * angles + 2 * s] = pass.hole[1];
-                jacobian[pass.cable * angles + 2 * s + 1] = pass.hole[2];
+            for c in 0..nc {
+                let [y, z] = lever(arm, range, c);
+                (jacobian[c * angles + 2 * s], jacobian[c * angles + 2 * s + 1]) = (y, z);
             }
         }
         let mut made = Self {
@@ -155,6 +157,25 @@ impl CableSpace {
             }
         }
     }
+}
+
+/// Lever (m) of a cable about a segment's bend angles, spread evenly over its elements: the mean of its holes' coordinates,
+/// 0 where it does not run.
+fn lever(arm: &Arm, elements: &Range<usize>, cable: usize) -> [f64; 2] {
+    let of = |i: usize| {
+        let passes = &arm.passes[arm.elements[i].passes.clone()];
+        passes.iter().find(|pass| pass.cable == cable).map_or([0.0; 2], |pass| {
+            let (a, b) = (&pass.hole, &pass.end);
+            if a == b { [a[1], a[2]] } else { [0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])] }
+        })
+    };
+    let first = of(elements.start);
+    // The same all along: no rounding.
+    if elements.clone().all(|i| of(i) == first) {
+        return first;
+    }
+    let share = 1.0 / elements.len() as f64;
+    elements.clone().map(of).fold([0.0; 2], |[y, z], [a, b]| [y + share * a, z + share * b])
 }
 
 #[cfg(test)]

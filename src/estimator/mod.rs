@@ -15,13 +15,19 @@
 //! - `cable_space`: lengths to bend angles, two per segment, and back.
 //! - `passive`: the observer.
 //! - `start`: the first estimate, from lengths and tensions at rest.
+//! - `covariance`: how well the estimate knows where the arm is.
 //! - `health`: settling and innovation tests.
+//! - `memory`: what a loop carries from tick to tick, for who linearises it.
 
 mod cable_space;
+mod covariance;
 mod health;
+mod memory;
 mod passive;
 mod start;
 
 pub use cable_space::CableSpace;
+pub use covariance::PositionCovariance;
+pub use memory::Kept;
 pub use passive::{Observer, Update};
 pub use start::StartError;

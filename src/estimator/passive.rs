@@ -8,6 +8,7 @@
 
 use super::cable_space::CableSpace;
 use super::health::Health;
+use super::memory::Kept;
 use crate::config::{ArmConfig, ObserverConfig};
 use crate::integrator::{Scheme, Stepper};
 use crate::math::block_tridiagonal::{BLOCK, COORDINATES};
@@ -191,6 +192,18 @@ impl Observer {
         self.reset();
         self.state.copy_from(state);
         self.settle_prediction();
+    }
+
+    /// Visits every number that the next update depends on beside what it is given.
+    pub fn memory(&mut self, visit: &mut dyn FnMut(Kept, &mut [f64])) {
+        visit(Kept::Coordinates, &mut self.state.q);
+        visit(Kept::Rates, &mut self.state.qd);
+        visit(Kept::Accelerations, &mut self.state.qdd);
+        visit(Kept::Accelerations, &mut self.state.a);
+        visit(Kept::Angles, &mut self.y);
+        visit(Kept::Moments, &mut self.beta);
+        // The oldest has acted already.
+        self.sent[1..].iter_mut().for_each(|sent| visit(Kept::Tensions, sent));
     }
 
     /// The observer's model: the configured arm with the observer's damping.
@@ -397,8 +410,8 @@ impl Observer {
         let [k, kd] = &mut self.curvatures;
         self.arm.curvatures_into(&self.state.q, &self.state.qd, k, kd);
         let mut largest = 0.0f64;
-        for (s, range) in self.arm.segment_elements.iter().enumerate() {
-            let length: f64 = self.arm.elements[range.clone()].iter().map(|e| e.length).sum();
+        for s in 0..self.arm.segment_count() {
+            let length = self.arm.segment_length(s);
             for rate in &kd[2 * s..2 * s + 2] {
                 largest = if rate.is_nan() { f64::NAN } else { largest.max(rate.abs() * length) };
             }

@@ -8,6 +8,7 @@ mod scheme;
 mod statics;
 mod step;
 
+pub(crate) use modes::free_motions;
 pub use modes::{Mode, modes};
 pub use scheme::Scheme;
 pub use statics::{StaticsError, consistent_start, equilibrium};

@@ -19,6 +19,9 @@ pub struct Mode {
     pub torsion: f64,
     /// Displacement of the tip in it (base frame), of unit length where the tip moves at all.
     pub tip: Vector3<f64>,
+    /// Points of the arm between base and tip that stay where they are: of the displacement where it bends, of the twist
+    /// where it twists.
+    pub resting_points: usize,
 }
 
 impl Mode {
@@ -73,18 +76,31 @@ pub fn modes(arm: &Arm, state: &State, u: &[f64]) -> Option<Vec<Mode>> {
             twist += element.stiffness[0] / element.length * d[0] * d[0];
             bend += element.stiffness[1] / element.length * (d[1] * d[1] + d[2] * d[2]);
         }
+        let torsion = twist / (twist + bend);
+        let along = |node: usize| Vector3::from_fn(|c, _| moved[COORDINATES * node + c]);
+        let farthest = (0..n).map(along).max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_else(Vector3::zeros);
+        let profile: Vec<f64> =
+            (0..n).map(|i| if torsion > 0.5 { x[3 * i] } else { along(i).dot(&farthest) }).collect();
         Some(Mode {
             square,
             damping_ratio: decay / square.abs().sqrt(),
-            torsion: twist / (twist + bend),
+            torsion,
+            resting_points: turns_of_sign(&profile),
             tip: tip.try_normalize(1e-9 * tip.norm().max(1e-300)).unwrap_or_else(Vector3::zeros),
         })
     });
     found.collect()
 }
 
+/// How often a profile changes its sign; what is less than a fiftieth of the largest has none.
+fn turns_of_sign(profile: &[f64]) -> usize {
+    let least = 0.02 * profile.iter().fold(0.0f64, |a, x| a.max(x.abs()));
+    let signs: Vec<bool> = profile.iter().filter(|x| x.abs() > least).map(|x| *x > 0.0).collect();
+    signs.windows(2).filter(|pair| pair[0] != pair[1]).count()
+}
+
 /// `Z`, 7N x 3N: the coordinates' motion for a rotation (body frame) of each node.
-fn free_motions(arm: &Arm, state: &State, tangent: &BlockTridiagonal) -> DMatrix<f64> {
+pub(crate) fn free_motions(arm: &Arm, state: &State, tangent: &BlockTridiagonal) -> DMatrix<f64> {
     let n = arm.node_count();
     let mut z = DMatrix::zeros(COORDINATES * n, 3 * n);
     for i in 0..n {
@@ -163,6 +179,11 @@ mod tests {
         }
         assert!(found.windows(2).all(|pair| pair[0].square <= pair[1].square));
         assert!(found.iter().any(|mode| mode.torsion > 0.999));
+        // A cantilever's modes come in pairs, each pair with a resting point more; twist begins anew.
+        let bends: Vec<usize> = found.iter().filter(|m| m.torsion < 0.01).take(8).map(|m| m.resting_points).collect();
+        assert_eq!(bends, [0, 0, 1, 1, 2, 2, 3, 3]);
+        let twists: Vec<usize> = found.iter().filter(|m| m.torsion > 0.99).take(3).map(|m| m.resting_points).collect();
+        assert_eq!(twists, [0, 1, 2]);
     }
 
     #[test]

@@ -13,12 +13,14 @@ use triple_buffer::{Input, Output, triple_buffer};
 const DIRECT: u64 = 1 << 63;
 
 /// An operator's request on its way to the supervisor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Command {
     /// Goes back in [`Reply::ticket`].
     pub ticket: u64,
     /// What is asked for.
     pub kind: RequestKind,
+    /// Speed over the configured one, for [`RequestKind::Speed`]; checked by whoever took the request.
+    pub speed_scale: f64,
 }
 
 /// The supervisor's answer.
@@ -226,9 +228,10 @@ pub struct DirectEnd {
 
 impl DirectEnd {
     /// Asks the control thread; the ticket of its answer. `None` if too many commands wait. Wait-free.
-    pub fn ask(&mut self, kind: RequestKind) -> Option<u64> {
+    /// `speed_scale` is for [`RequestKind::Speed`] alone.
+    pub fn ask(&mut self, kind: RequestKind, speed_scale: f64) -> Option<u64> {
         let ticket = DIRECT | self.next;
-        self.commands.push(Command { ticket, kind }).ok()?;
+        self.commands.push(Command { ticket, kind, speed_scale }).ok()?;
         self.next += 1;
         Some(ticket)
     }
@@ -338,8 +341,8 @@ mod tests {
         let mut state = State::default();
         let mut tracked = crate::ipc::intake::TrackedSet::new();
         let limits = crate::ipc::intake::InputLimits::default();
-        assert!(io.commands.push(Command { ticket: 1, kind: RequestKind::Arm }).is_ok());
-        let ticket = direct.ask(RequestKind::Stop).unwrap();
+        assert!(io.commands.push(Command { ticket: 1, kind: RequestKind::Arm, speed_scale: 1.0 }).is_ok());
+        let ticket = direct.ask(RequestKind::Stop, 1.0).unwrap();
         assert_no_alloc::assert_no_alloc(|| {
             inputs.update();
             inputs.obstacles().track_into(1, 0.1, &limits, &mut tracked);

@@ -6,7 +6,7 @@ use super::channels::{Command, Event, IoEnds, Reply};
 use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
 use super::payload::{
     Header, Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State,
-    SupervisorState, Target, Verdict,
+    SupervisorState, Target, Verdict, is_speed_scale, speed_text,
 };
 use super::ports::{DaemonPorts, OpenRequest};
 use sinew_hal::clock::Naps;
@@ -407,13 +407,15 @@ impl<T: Tap> IoThread<T> {
         let ticket = self.next_ticket;
         self.next_ticket += 1;
         let kind = RequestKind::from_wire(message.kind);
-        let command = Command { ticket, kind: kind.unwrap_or(RequestKind::Status) };
+        let command = Command { ticket, kind: kind.unwrap_or(RequestKind::Status), speed_scale: message.speed_scale };
         let refused = if message.header.schema_version != SCHEMA_VERSION {
             Some((RefusalReason::Schema, message.header.schema_version))
         } else if kind.is_none() {
             Some((RefusalReason::UnknownRequest, message.kind))
         } else if kind == Some(RequestKind::SetTarget) {
             self.take_target(message.target, now_ns).err().map(|cause| (RefusalReason::BadTarget, cause.wire()))
+        } else if kind == Some(RequestKind::Speed) && !is_speed_scale(message.speed_scale) {
+            Some((RefusalReason::BadSpeed, 0))
         } else {
             None
         };
@@ -465,11 +467,13 @@ impl<T: Tap> IoThread<T> {
     }
 
     fn answer(&mut self, asker: &Asker, reply: Reply) {
+        let asked = match asker {
+            Asker::Port(request) => Some(request.payload()),
+            Asker::Socket(_) => None,
+        };
+        let speed = asked.filter(|asked| asked.kind == RequestKind::Speed.wire()).map(|asked| asked.speed_scale);
         let mut response = Response {
-            header: match asker {
-                Asker::Port(request) => request.payload().header,
-                Asker::Socket(_) => Header::default(),
-            },
+            header: asked.map_or_else(Header::default, |asked| asked.header),
             verdict: reply.verdict.wire(),
             reason: reply.reason.wire(),
             detail: reply.detail,
@@ -479,7 +483,10 @@ impl<T: Tap> IoThread<T> {
             ..Response::default()
         };
         match (reply.verdict, reply.reason, RejectCause::from_wire(reply.detail)) {
-            (Verdict::Accepted, ..) => response.set_text(reply.supervisor.text()),
+            (Verdict::Accepted, ..) => match speed {
+                Some(scale) => response.set_text(&speed_text(reply.supervisor, scale)),
+                None => response.set_text(reply.supervisor.text()),
+            },
             (_, RefusalReason::BadTarget, Some(cause)) => {
                 response.set_text(&format!("{}: {}", reply.reason.text(), cause.text()));
             }

@@ -1,7 +1,7 @@
 //! The arm's constants as the equations need them: nodes, elements, holes.
 
 use super::legs::GROUP;
-use crate::config::{ArmConfig, ChordRule, Routing, StrainRule};
+use crate::config::{ArmConfig, ChordRule, StrainRule};
 use nalgebra::{Vector3, Vector4};
 use std::ops::Range;
 
@@ -21,8 +21,10 @@ pub struct Node {
 pub struct HolePass {
     /// Cable (0-based).
     pub cable: usize,
-    /// Hole in the disks' frame (m): `rho_c [0, cos, sin]`.
+    /// Hole in node i's frame (m): `rho_c [0, cos, sin]`.
     pub hole: Vector3<f64>,
+    /// Hole in node i+1's frame (m); another one where the cable is not parallel to the backbone.
+    pub end: Vector3<f64>,
 }
 
 /// Element i joins node i to node i+1 (node 0 is the base).
@@ -55,7 +57,7 @@ pub struct Arm {
     pub nodes: Vec<Node>,
     /// Elements 0..N.
     pub elements: Vec<Element>,
-    /// Cable passages, element by element; the cables of an element follow one another.
+    /// Cable passages, element by element, by ascending cable.
     pub passes: Vec<HolePass>,
     /// Constant part of each cable's length: connectors passed (m).
     pub cable_constant: Vec<f64>,
@@ -63,6 +65,12 @@ pub struct Arm {
     pub cable_elements: Vec<Range<usize>>,
     /// Segment of each cable.
     pub cable_segment: Vec<usize>,
+    /// Strain of each cable for a newton (1/N); 0 where it does not stretch.
+    pub cable_compliance: Vec<f64>,
+    /// Length of each cable between its drum and the arm (m).
+    pub cable_feed: Vec<f64>,
+    /// Whether any cable has other holes at an element's end than at its beginning.
+    pub skew: bool,
     /// Elements of each segment.
     pub segment_elements: Vec<Range<usize>>,
     /// Gravity (m/s^2, base frame).
@@ -84,35 +92,22 @@ impl Arm {
         let last_segment = config.segments.len() - 1;
         let mut before = 0.0;
         for (s, seg) in config.segments.iter().enumerate() {
-            let l = seg.length_m / seg.elements as f64;
             let first = elements.len();
-            let connector = if s < last_segment { seg.connector_length_m } else { 0.0 };
+            let last = s == last_segment;
+            let connector = if last { 0.0 } else { seg.connector_length_m };
             for e in 0..seg.elements {
-                let ends = e + 1 == seg.elements;
-                let tip = ends && s == last_segment;
-                let mut disk = seg.disk_mass_kg;
-                if ends && !tip {
-                    disk += seg.connector_mass_kg;
-                }
-                // The backbone's share: half an element on either side, so the last node has only one half.
-                let backbone = seg.backbone_mass_kgpm * l * if tip { 0.5 } else { 1.0 };
-                let (r2, h2, b2) =
-                    (seg.disk_radius_m.powi(2), seg.disk_thickness_m.powi(2), seg.backbone_radius_m.powi(2));
-                let axial = disk * r2 / 2.0 + backbone * b2 / 2.0;
-                let transverse = disk * (r2 / 4.0 + h2 / 12.0) + backbone * (b2 / 4.0 + l * l / 12.0);
+                let lump = seg.lump(e, last);
+                let tip = last && e + 1 == seg.elements;
                 nodes.push(Node {
-                    mass: disk + backbone + if tip { config.payload.mass_kg } else { 0.0 },
-                    inertia: Vector3::new(axial, transverse, transverse),
+                    mass: lump.mass + if tip { config.payload.mass_kg } else { 0.0 },
+                    inertia: Vector3::new(lump.axial, lump.transverse, lump.transverse),
                     segment: s,
                 });
+                let [torsion, bending] = seg.element_stiffness_nm2(e);
                 elements.push(Element {
-                    length: l,
+                    length: seg.element_length_m(),
                     connector: if e == 0 { before } else { 0.0 },
-                    stiffness: Vector3::new(
-                        seg.torsional_stiffness_nm2,
-                        seg.bending_stiffness_nm2,
-                        seg.bending_stiffness_nm2,
-                    ),
+                    stiffness: Vector3::new(torsion, bending, bending),
                     damping: seg.damping_stiffness_s,
                     segment: s,
                     passes: 0..0,
@@ -122,50 +117,59 @@ impl Arm {
             before = connector;
             segment_elements.push(first..elements.len());
         }
-        let mut cable_segment = Vec::with_capacity(config.cable_count());
-        let mut holes = Vec::with_capacity(config.cable_count());
-        for (s, seg) in config.segments.iter().enumerate() {
-            for angle in &seg.hole_angles_rad {
-                cable_segment.push(s);
-                holes.push(seg.hole_radius_m * Vector3::new(0.0, angle.cos(), angle.sin()));
-            }
-        }
-        let cable_elements: Vec<Range<usize>> = cable_segment
+        // Each cable's segment and its number there.
+        let cables: Vec<(usize, usize)> = config
+            .segments
             .iter()
-            .map(|&s| match config.routing {
-                Routing::Local => segment_elements[s].clone(),
-                Routing::Through => 0..segment_elements[s].end,
+            .enumerate()
+            .flat_map(|(s, seg)| (0..seg.hole_angles_rad.len()).map(move |c| (s, c)))
+            .collect();
+        let cable_elements: Vec<Range<usize>> = cables
+            .iter()
+            .map(|&(s, c)| {
+                let from = segment_elements[config.cable_segments(s).start].start;
+                from..segment_elements[s].start + config.segments[s].cable_elements(c)
             })
             .collect();
         let (mut passes, mut groups) = (Vec::new(), 0);
         for (i, element) in elements.iter_mut().enumerate() {
             let start = passes.len();
+            let (s, count) = (element.segment, config.segments[element.segment].elements as f64);
+            let place = |node: usize| s as f64 + (node - segment_elements[s].start) as f64 / count;
             for (cable, range) in cable_elements.iter().enumerate() {
                 if range.contains(&i) {
-                    passes.push(HolePass { cable, hole: holes[cable] });
+                    let hole = |node: usize| {
+                        let [y, z] = config.segments[cables[cable].0].hole_m(cables[cable].1, place(node));
+                        Vector3::new(0.0, y, z)
+                    };
+                    passes.push(HolePass { cable, hole: hole(i), end: hole(i + 1) });
                 }
             }
             element.passes = start..passes.len();
-            element.groups = groups..groups + element.passes.len().div_ceil(GROUP);
+            let spanned = passes[start..].last().map_or(0, |last: &HolePass| last.cable + 1 - passes[start].cable);
+            element.groups = groups..groups + spanned.div_ceil(GROUP);
             groups = element.groups.end;
         }
-        // Connectors are passed by `through` cables; a `local` cable starts behind its segment's connector.
-        let cable_constant = cable_segment
-            .iter()
-            .map(|&s| match config.routing {
-                Routing::Local => 0.0,
-                Routing::Through => config.segments[..s].iter().map(|seg| seg.connector_length_m).sum(),
-            })
-            .collect();
+        // A cable passes the connectors between the segments that it runs along; it starts behind the one of the segment before.
+        let passed =
+            |s: usize| config.segments[config.cable_segments(s)].split_last().map_or(&[][..], |(_, before)| before);
+        let cable_constant =
+            cables.iter().map(|&(s, _)| passed(s).iter().map(|seg| seg.connector_length_m).sum()).collect();
         Self {
             base_position: Vector3::from(config.base_position_m),
             base_quaternion: Vector4::from(config.base_quaternion),
             nodes,
             elements,
+            skew: passes.iter().any(|pass| pass.hole != pass.end),
             passes,
             cable_constant,
             cable_elements,
-            cable_segment,
+            cable_segment: cables.iter().map(|(s, _)| *s).collect(),
+            cable_compliance: cables
+                .iter()
+                .map(|&(s, _)| config.segments[s].cable_stiffness_n.map_or(0.0, |ea| 1.0 / ea))
+                .collect(),
+            cable_feed: cables.iter().map(|&(s, _)| config.segments[s].cable_feed_m).collect(),
             segment_elements,
             gravity: Vector3::from(config.gravity_mps2),
             damping_mass: config.damping_mass_1ps,
@@ -180,7 +184,7 @@ impl Arm {
         self.nodes.len()
     }
 
-    /// Cables that pass an element.
+    /// From the first to the last of the cables that pass an element; some between them may not.
     #[inline(always)]
     pub(super) fn cables(&self, e: &Element) -> Range<usize> {
         match &self.passes[e.passes.clone()] {
@@ -188,6 +192,21 @@ impl Arm {
             [only] => only.cable..only.cable + 1,
             [] => 0..0,
         }
+    }
+
+    /// Length (m) that a cable of `length_m` along the arm has unstretched, its feed not counted: what its drum tells, under
+    /// `tension_n`.
+    #[inline]
+    pub fn at_drum(&self, cable: usize, length_m: f64, tension_n: f64) -> f64 {
+        let (compliance, feed) = (self.cable_compliance[cable], self.cable_feed[cable]);
+        if compliance == 0.0 { length_m } else { (length_m + feed) / (1.0 + compliance * tension_n) - feed }
+    }
+
+    /// Length (m) along the arm of a cable whose drum tells `drum_m` under `tension_n`: the inverse of [`Arm::at_drum`].
+    #[inline]
+    pub fn along_arm(&self, cable: usize, drum_m: f64, tension_n: f64) -> f64 {
+        let (compliance, feed) = (self.cable_compliance[cable], self.cable_feed[cable]);
+        if compliance == 0.0 { drum_m } else { (drum_m + feed) * (1.0 + compliance * tension_n) - feed }
     }
 
     /// Number of cables.
@@ -199,6 +218,11 @@ impl Arm {
     /// Number of segments.
     pub fn segment_count(&self) -> usize {
         self.segment_elements.len()
+    }
+
+    /// Length of a segment's elements (m).
+    pub fn segment_length(&self, segment: usize) -> f64 {
+        self.elements[self.segment_elements[segment].clone()].iter().map(|e| e.length).sum()
     }
 
     /// Position and quaternion of node `i`, 0..=N.

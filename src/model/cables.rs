@@ -18,6 +18,8 @@ pub(super) struct Span<V> {
     /// From hole to hole where both are at the disks' centres, and how that changes with `h_y` and `h_z`.
     centre: [V; 3],
     across: [[V; 3]; 2],
+    /// Local y and z of both disks.
+    axes: [[[V; 3]; 2]; 2],
     p: [[V; 4]; 2],
     /// `-2 p e_k`.
     product: [[[V; 4]; 3]; 2],
@@ -85,7 +87,16 @@ impl Span<f64> {
 
     /// Distance between the holes (m).
     pub(super) fn length(&self, pass: &HolePass) -> f64 {
-        self.leg(pass.hole[1], pass.hole[2]).length
+        self.pass(pass).length
+    }
+
+    /// The cable of a passage.
+    pub(super) fn pass(&self, pass: &HolePass) -> Leg<f64> {
+        if pass.hole == pass.end {
+            self.leg(pass.hole[1], pass.hole[2])
+        } else {
+            self.leg_between([[pass.hole[1], pass.hole[2]], [pass.end[1], pass.end[2]]])
+        }
     }
 }
 
@@ -100,7 +111,8 @@ impl<V: Number> Span<V> {
             across[0][k] = j[1][k] - i[1][k];
             across[1][k] = j[2][k] - i[2][k];
         }
-        Self { centre, across, p, product: [axis_products(p[0]), axis_products(p[1])], connector }
+        let axes = [[i[1], i[2]], [j[1], j[2]]];
+        Self { centre, across, axes, p, product: [axis_products(p[0]), axis_products(p[1])], connector }
     }
 
     /// The cable through the holes at `y`, `z`.
@@ -111,13 +123,31 @@ impl<V: Number> Span<V> {
         for k in 0..3 {
             d[k] = ay[k].multiply_add(y, az[k].multiply_add(z, d[k]));
         }
+        self.along(d, [[y, z]; 2])
+    }
+
+    /// The cable through the holes `[y, z]` of disk i and of disk j.
+    #[inline(always)]
+    pub(super) fn leg_between(&self, holes: [[V; 2]; 2]) -> Leg<V> {
+        let [[iy, iz], [jy, jz]] = &self.axes;
+        let mut d = self.centre;
+        for k in 0..3 {
+            d[k] = jy[k].multiply_add(holes[1][0], jz[k].multiply_add(holes[1][1], d[k]));
+            d[k] = d[k] - iy[k].multiply_add(holes[0][0], iz[k] * holes[0][1]);
+        }
+        self.along(d, holes)
+    }
+
+    /// The cable along `d` from hole to hole.
+    #[inline(always)]
+    fn along(&self, d: [V; 3], [[y, z], [y_end, z_end]]: [[V; 2]; 2]) -> Leg<V> {
         let length = inner(&d, &d).square_root();
         let inverse = length.inverse();
         let direction = [d[0] * inverse, d[1] * inverse, d[2] * inverse];
         let (i, [_, jy, jz]) = (combine([self.connector, y, z], &self.product[0]), &self.product[1]);
         let mut j = *jy;
         for k in 0..4 {
-            j[k] = jy[k].multiply_add(y, jz[k] * z);
+            j[k] = jy[k].multiply_add(y_end, jz[k] * z_end);
         }
         Leg { direction, length, inverse, forces: [pure_times(direction, i), pure_times(direction, j)] }
     }
@@ -130,9 +160,10 @@ impl<V: Number> Stiffness<V> {
     pub(super) fn new<W: Columns<Value = V>>(vectors: W, span: &Span<V>, sums: &Sums<V>) -> Self {
         let zero = vectors.splat(0.0);
         let g = &sums.gram;
-        let [w, y, z, yy, yz, zz] = sums.moments;
+        let (w, [[y, z], [y_end, z_end]]) = (sums.weight, sums.first);
+        let [[[yy, yz], [_, zz]], between, ends] = sums.second;
         let (con, product) = (span.connector, &span.product);
-        let [u, uy, uz] = sums.pull;
+        let (u, [[uy, uz], [uy_end, uz_end]]) = (sums.pull, sums.pull_at);
         let ux = [con * u[0], con * u[1], con * u[2]];
         let (ji, jj) = (axis_jacobians(span.p[0]), axis_jacobians(span.p[1]));
         let mut k = Self {
@@ -142,7 +173,7 @@ impl<V: Number> Stiffness<V> {
             pull: u,
             turn: [
                 plus(pure_times(ux, product[0][0]), plus(pure_times(uy, product[0][1]), pure_times(uz, product[0][2]))),
-                plus(pure_times(uy, product[1][1]), pure_times(uz, product[1][2])),
+                plus(pure_times(uy_end, product[1][1]), pure_times(uz_end, product[1][2])),
             ],
         };
         let [i, j] = FORCE;
@@ -155,17 +186,19 @@ impl<V: Number> Stiffness<V> {
             k.rr[r][r] = k.rr[r][r] + w;
             for c in 0..4 {
                 k.rp[0][r][c] = inner(&first, &[ji[0][r][c], ji[1][r][c], ji[2][r][c]]) - g[r][i + c];
-                k.rp[1][r][c] = y.multiply_add(jj[1][r][c], z * jj[2][r][c]) - g[r][j + c];
+                k.rp[1][r][c] = y_end.multiply_add(jj[1][r][c], z_end * jj[2][r][c]) - g[r][j + c];
             }
         }
         let (cy, cz) = (con * y, con * z);
         let second = [[con * first[0], cy, cz], [cy, yy, yz], [cz, yz, zz]];
+        // Those of disk i's holes, connector included, with disk j's.
+        let mixed = [[con * y_end, con * z_end], between[0], between[1]];
         // D_i^T D_j with the connector in the hole of disk i alone.
         let mut cross = [[zero; 4]; 4];
         for axis in 0..3 {
             for r in 0..3 {
                 for c in 0..4 {
-                    let t = second[axis][1].multiply_add(jj[1][r][c], second[axis][2] * jj[2][r][c]);
+                    let t = mixed[axis][0].multiply_add(jj[1][r][c], mixed[axis][1] * jj[2][r][c]);
                     for q in 0..4 {
                         cross[q][c] = ji[axis][r][q].multiply_add(t, cross[q][c]);
                     }
@@ -190,15 +223,18 @@ impl<V: Number> Stiffness<V> {
         }
         for axis in 1..3 {
             for c in 0..4 {
-                let q = second[axis][1].multiply_add(product[1][1][c], second[axis][2] * product[1][2][c]);
+                let of_axis = ends[axis - 1];
+                let q = of_axis[0].multiply_add(product[1][1][c], of_axis[1] * product[1][2][c]);
                 for r in 0..4 {
                     k.pp[2][r][c] = (-product[1][axis][r]).multiply_add(q, k.pp[2][r][c]);
                 }
             }
         }
-        let trace = yy + zz;
-        let trace = [(second[0][0] + trace) * inner(&span.p[0], &span.p[0]), trace * inner(&span.p[1], &span.p[1])];
-        let (of_i, of_j) = (rotation_form([ux, uy, uz]), rotation_form([[zero; 3], uy, uz]));
+        let trace = [
+            (second[0][0] + (yy + zz)) * inner(&span.p[0], &span.p[0]),
+            (ends[0][0] + ends[1][1]) * inner(&span.p[1], &span.p[1]),
+        ];
+        let (of_i, of_j) = (rotation_form([ux, uy, uz]), rotation_form([[zero; 3], uy_end, uz_end]));
         for r in 0..4 {
             k.pp[0][r][r] = k.pp[0][r][r] + trace[0] * 4.0;
             k.pp[2][r][r] = k.pp[2][r][r] + trace[1] * 4.0;

@@ -8,7 +8,7 @@
 //! Must never: allocate after [`Passages::new`].
 
 use super::arm::Arm;
-use super::cables::Span;
+use super::cables::{Leg, Span};
 use super::linearize::WIDEST;
 use crate::math::simd::{Columns, Number};
 use std::ops::Range;
@@ -37,6 +37,8 @@ pub(super) struct Passages {
     /// Coordinates of the holes in the disks' frame (m), and tensions (N).
     y: Vec<f64>,
     z: Vec<f64>,
+    /// The same at the elements' ends, of cables that are not parallel to the backbone.
+    end: [Vec<f64>; 2],
     tension: Vec<f64>,
     /// `v` and `u/length` of the elements at work, cable for cable.
     v: Vec<[[f64; WIDEST]; ROWS]>,
@@ -47,10 +49,16 @@ pub(super) struct Passages {
 pub(super) struct Sums<V> {
     /// `sum w v v^T`, upper triangle.
     pub(super) gram: [[V; ROWS]; ROWS],
-    /// `sum w [1, h_y, h_z, h_y^2, h_y h_z, h_z^2]`.
-    pub(super) moments: [V; 6],
-    /// `sum u e [1, h_y, h_z]`.
-    pub(super) pull: [[V; 3]; 3],
+    /// `sum w`.
+    pub(super) weight: V,
+    /// `sum w [h_y, h_z]` of the holes in disk i and in disk j.
+    pub(super) first: [[V; 2]; 2],
+    /// `sum w h h^T` of disks i and i, i and j, j and j.
+    pub(super) second: [[[V; 2]; 2]; 3],
+    /// `sum u e`.
+    pub(super) pull: [V; 3],
+    /// `sum u e [h_y, h_z]` of both disks.
+    pub(super) pull_at: [[[V; 3]; 2]; 2],
 }
 
 impl Passages {
@@ -63,6 +71,7 @@ impl Passages {
             length,
             y: row.clone(),
             z: row.clone(),
+            end: if arm.skew { [row.clone(), row.clone()] } else { [Vec::new(), Vec::new()] },
             tension: row,
             v: vec![[[0.0; WIDEST]; ROWS]; most],
             weight: vec![[0.0; WIDEST]; most],
@@ -75,6 +84,9 @@ impl Passages {
             for (k, pass) in arm.passes[e.passes.clone()].iter().enumerate() {
                 let at = k * self.length + i;
                 (self.y[at], self.z[at], self.tension[at]) = (pass.hole[1], pass.hole[2], u[pass.cable]);
+                if arm.skew {
+                    (self.end[0][at], self.end[1][at]) = (pass.end[1], pass.end[2]);
+                }
             }
         }
     }
@@ -82,39 +94,11 @@ impl Passages {
     /// Legs and sums of the elements from `i` on.
     #[inline(always)]
     pub(super) fn sums<W: Columns>(&mut self, w: W, arm: &Arm, i: usize, span: &Span<W::Value>) -> Sums<W::Value> {
-        let zero = w.splat(0.0);
         let mut most = 0;
         for e in &arm.elements[i..arm.elements.len().min(i + W::WIDTH)] {
             most = most.max(e.passes.len());
         }
-        let (mut moments, mut pull) = ([zero; 6], [[zero; 3]; 3]);
-        for k in 0..most {
-            let at = k * self.length + i;
-            let (y, z, tension) = (w.load(&self.y[at..]), w.load(&self.z[at..]), w.load(&self.tension[at..]));
-            let leg = span.leg(y, z);
-            let (v, weight) = (&mut self.v[k], tension * leg.inverse);
-            w.store(weight, &mut self.weight[k]);
-            for c in 0..3 {
-                w.store(leg.direction[c], &mut v[c]);
-                let force = tension * leg.direction[c];
-                pull[0][c] = pull[0][c] + force;
-                pull[1][c] = force.multiply_add(y, pull[1][c]);
-                pull[2][c] = force.multiply_add(z, pull[2][c]);
-            }
-            for end in 0..2 {
-                for c in 0..4 {
-                    w.store(leg.forces[end][c], &mut v[FORCE[end] + c]);
-                }
-            }
-            let (of_y, of_z) = (weight * y, weight * z);
-            moments[0] = moments[0] + weight;
-            moments[1] = moments[1] + of_y;
-            moments[2] = moments[2] + of_z;
-            moments[3] = of_y.multiply_add(y, moments[3]);
-            moments[4] = of_y.multiply_add(z, moments[4]);
-            moments[5] = of_z.multiply_add(z, moments[5]);
-        }
-        let mut sums = Sums { gram: [[zero; ROWS]; ROWS], moments, pull };
+        let mut sums = if arm.skew { self.skew(w, most, i, span) } else { self.parallel(w, most, i, span) };
         self.gram_row::<W, 0>(w, most, &mut sums.gram);
         self.gram_row::<W, 1>(w, most, &mut sums.gram);
         self.gram_row::<W, 2>(w, most, &mut sums.gram);
@@ -127,6 +111,106 @@ impl Passages {
         self.gram_row::<W, 9>(w, most, &mut sums.gram);
         self.gram_row::<W, 10>(w, most, &mut sums.gram);
         sums
+    }
+
+    /// Legs, and their sums but for the gram, where each cable has the same hole in both disks.
+    #[inline(always)]
+    fn parallel<W: Columns>(&mut self, w: W, most: usize, i: usize, span: &Span<W::Value>) -> Sums<W::Value> {
+        let zero = w.splat(0.0);
+        let (mut moments, mut pull) = ([zero; 6], [[zero; 3]; 3]);
+        for k in 0..most {
+            let at = k * self.length + i;
+            let (y, z, tension) = (w.load(&self.y[at..]), w.load(&self.z[at..]), w.load(&self.tension[at..]));
+            let leg = span.leg(y, z);
+            let weight = self.note(w, k, &leg, tension);
+            for c in 0..3 {
+                let force = tension * leg.direction[c];
+                pull[0][c] = pull[0][c] + force;
+                pull[1][c] = force.multiply_add(y, pull[1][c]);
+                pull[2][c] = force.multiply_add(z, pull[2][c]);
+            }
+            let (of_y, of_z) = (weight * y, weight * z);
+            moments[0] = moments[0] + weight;
+            moments[1] = moments[1] + of_y;
+            moments[2] = moments[2] + of_z;
+            moments[3] = of_y.multiply_add(y, moments[3]);
+            moments[4] = of_y.multiply_add(z, moments[4]);
+            moments[5] = of_z.multiply_add(z, moments[5]);
+        }
+        let [weight, y, z, yy, yz, zz] = moments;
+        let [pull, of_y, of_z] = pull;
+        Sums {
+            gram: [[zero; ROWS]; ROWS],
+            weight,
+            first: [[y, z]; 2],
+            second: [[[yy, yz], [yz, zz]]; 3],
+            pull,
+            pull_at: [[of_y, of_z]; 2],
+        }
+    }
+
+    /// The same for any holes.
+    #[inline(always)]
+    fn skew<W: Columns>(&mut self, w: W, most: usize, i: usize, span: &Span<W::Value>) -> Sums<W::Value> {
+        let zero = w.splat(0.0);
+        let mut sums = Sums {
+            gram: [[zero; ROWS]; ROWS],
+            weight: zero,
+            first: [[zero; 2]; 2],
+            second: [[[zero; 2]; 2]; 3],
+            pull: [zero; 3],
+            pull_at: [[[zero; 3]; 2]; 2],
+        };
+        for k in 0..most {
+            let at = k * self.length + i;
+            let holes = [
+                [w.load(&self.y[at..]), w.load(&self.z[at..])],
+                [w.load(&self.end[0][at..]), w.load(&self.end[1][at..])],
+            ];
+            let tension = w.load(&self.tension[at..]);
+            let leg = span.leg_between(holes);
+            let weight = self.note(w, k, &leg, tension);
+            sums.weight = sums.weight + weight;
+            for c in 0..3 {
+                let force = tension * leg.direction[c];
+                sums.pull[c] = sums.pull[c] + force;
+                for (at, hole) in sums.pull_at.iter_mut().zip(&holes) {
+                    for axis in 0..2 {
+                        at[axis][c] = force.multiply_add(hole[axis], at[axis][c]);
+                    }
+                }
+            }
+            for (first, hole) in sums.first.iter_mut().zip(&holes) {
+                for axis in 0..2 {
+                    first[axis] = weight.multiply_add(hole[axis], first[axis]);
+                }
+            }
+            for (second, [a, b]) in sums.second.iter_mut().zip([[0, 0], [0, 1], [1, 1]]) {
+                for r in 0..2 {
+                    let of_row = weight * holes[a][r];
+                    for c in 0..2 {
+                        second[r][c] = of_row.multiply_add(holes[b][c], second[r][c]);
+                    }
+                }
+            }
+        }
+        sums
+    }
+
+    /// Keeps the k-th legs' rows and their weight `u/length`, which it returns.
+    #[inline(always)]
+    fn note<W: Columns>(&mut self, w: W, k: usize, leg: &Leg<W::Value>, tension: W::Value) -> W::Value {
+        let (v, weight) = (&mut self.v[k], tension * leg.inverse);
+        w.store(weight, &mut self.weight[k]);
+        for c in 0..3 {
+            w.store(leg.direction[c], &mut v[c]);
+        }
+        for end in 0..2 {
+            for c in 0..4 {
+                w.store(leg.forces[end][c], &mut v[FORCE[end] + c]);
+            }
+        }
+        weight
     }
 
     /// Row R of the upper triangle, its sums in registers meanwhile.
@@ -147,7 +231,11 @@ impl Passages {
     pub(super) fn keep(&self, arm: &Arm, elements: Range<usize>, legs: &mut [LegGroup]) {
         for (l, e) in arm.elements[elements].iter().enumerate() {
             let groups = &mut legs[e.groups.clone()];
-            for (k, v) in self.v[..e.passes.len()].iter().enumerate() {
+            let passes = &arm.passes[e.passes.clone()];
+            let Some(first) = passes.first() else { continue };
+            for (pass, v) in passes.iter().zip(&self.v) {
+                // Places of cables between them that do not pass here stay zero.
+                let k = pass.cable - first.cable;
                 for (row, v) in groups[k / GROUP].0.iter_mut().zip(v) {
                     row[k % GROUP] = v[l];
                 }

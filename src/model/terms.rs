@@ -204,7 +204,7 @@ impl Arm {
             let span = self.span(q, i);
             let ((vi, wi), (vj, wj)) = (self.rate(qd, i), self.rate(qd, i + 1));
             for pass in &self.passes[e.passes.clone()] {
-                let leg = span.leg(pass.hole[1], pass.hole[2]);
+                let leg = span.pass(pass);
                 let [fi, fj] = leg.forces.map(Vector4::from);
                 rates[pass.cable] += Vector3::from(leg.direction).dot(&(vj - vi)) + fj.dot(&wj) - fi.dot(&wi);
             }
@@ -218,7 +218,7 @@ impl Arm {
         for (i, e) in self.elements.iter().enumerate() {
             let span = self.span(q, i);
             for pass in &self.passes[e.passes.clone()] {
-                let leg = span.leg(pass.hole[1], pass.hole[2]);
+                let leg = span.pass(pass);
                 let mut column = |node: usize, force: &[f64; 4], sign: f64| {
                     let g = &mut g[7 * node * nc + pass.cable..];
                     for k in 0..3 {
@@ -245,7 +245,7 @@ impl Arm {
                 if f == 0.0 {
                     continue;
                 }
-                let leg = span.leg(pass.hole[1], pass.hole[2]);
+                let leg = span.pass(pass);
                 let (direction, [fi, fj]) = (Vector3::from(leg.direction), leg.forces.map(Vector4::from));
                 if i > 0 {
                     add3(out, 7 * (i - 1), &direction, f);

@@ -12,7 +12,7 @@ mod sensitivity;
 mod start;
 pub mod swarm;
 
-pub use combined::{Branch, Inputs, PAIRS_MAX, Planner, Report, Status};
+pub use combined::{Branch, Inputs, LedTo, PAIRS_MAX, Planner, Report, Status};
 pub use deadline::Deadline;
 pub use problem::{Goal, Quadratic};
 pub use sensitivity::sensitivity;

@@ -1,5 +1,6 @@
 //! Inverse statics: mean curvatures whose equilibrium has its tip at a pose, of all such those with the least bending.
 
+use super::reference::segment_lengths;
 use super::rest::{POSE, RestingArm};
 use crate::math::chain::Singular;
 use crate::math::dense;
@@ -62,11 +63,7 @@ impl Inverse {
     /// For an arm. Allocates.
     pub fn new(arm: &Arm, settings: &InverseSettings) -> Self {
         let count = 2 * arm.segment_count();
-        let length: Vec<f64> = arm
-            .segment_elements
-            .iter()
-            .flat_map(|range| [arm.elements[range.clone()].iter().map(|e| e.length).sum(); 2])
-            .collect();
+        let length = segment_lengths(arm);
         let whole: f64 = length.iter().step_by(2).sum();
         Self {
             rest: RestingArm::new(arm),

@@ -10,7 +10,9 @@
 mod inverse;
 mod reference;
 mod rest;
+mod search;
 
 pub use inverse::{Inverse, InverseSettings, Outcome, pose_weights};
 pub use reference::{Met, Reference, ReferenceSettings, Surroundings, Wanted, segment_lengths};
 pub use rest::{POSE, RestingArm, pose_error};
+pub use search::Search;

@@ -80,6 +80,8 @@ pub struct Met {
     pub load_max: f64,
     /// Whether some row held the step back.
     pub held_back: bool,
+    /// Whether an obstacle did.
+    pub hindered: bool,
 }
 
 /// Loads are looked at when less than this share is left.
@@ -120,7 +122,7 @@ const FARTHER: f64 = 6.6;
 const HOPELESS_RAD: f64 = 1.5;
 
 /// The reference of one arm. [`Reference::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Reference {
     settings: ReferenceSettings,
     rest: RestingArm,
@@ -195,6 +197,16 @@ impl Reference {
     /// The equilibrium, to start from another one.
     pub fn rest_mut(&mut self) -> &mut RestingArm {
         &mut self.rest
+    }
+
+    /// Sensitivity of the segments' ends to the curvatures by the last linearisation (m per 1/m), three rows for each.
+    pub fn ends(&self) -> &[f64] {
+        &self.ends
+    }
+
+    /// What the position of each element may be off by (m): it keeps so much farther away.
+    pub fn set_doubt(&mut self, doubt_m: &[f64]) {
+        self.body.set_doubt(doubt_m);
     }
 
     /// Change of the mean curvatures in the last step (1/m).
@@ -284,6 +296,7 @@ impl Reference {
         {
             rows = self.pair_rows(h, around, &mut met);
         }
+        let pairs = rows;
         rows = self.tension_rows(h, rows, &mut met);
         self.delta.copy_from_slice(wanted.drift);
         for i in 0..count {
@@ -304,6 +317,7 @@ impl Reference {
         for r in 0..rows {
             let multiplier = self.solver.multipliers()[r];
             met.held_back |= multiplier > 0.0;
+            met.hindered |= multiplier > 0.0 && r < pairs;
             met.given_up += usize::from(multiplier >= hard * (1.0 - 1e-9));
         }
         // Each bend by itself keeps to the limit; together they may not. Where nothing comes nearer there is no hurry.
@@ -552,6 +566,5 @@ fn dodge(
 
 /// Length of the segment of each mean curvature (m).
 pub fn segment_lengths(arm: &Arm) -> Vec<f64> {
-    let length = |range: &std::ops::Range<usize>| arm.elements[range.clone()].iter().map(|e| e.length).sum();
-    arm.segment_elements.iter().flat_map(|range| [length(range); 2]).collect()
+    (0..arm.segment_count()).flat_map(|segment| [arm.segment_length(segment); 2]).collect()
 }

@@ -90,6 +90,11 @@ impl RestingArm {
         &self.state
     }
 
+    /// Bending moments (N m) that hold it beside the tensions, two per segment.
+    pub fn moments(&self) -> &[f64] {
+        &self.moments
+    }
+
     /// Mean curvatures of the state (1/m), `(y, z)` segment by segment.
     pub fn curvatures(&self) -> &[f64] {
         &self.curvatures

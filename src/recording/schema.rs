@@ -91,7 +91,9 @@ impl Fields for SourceReport {
         sink.u64("sequence", self.sequence);
         sink.f64("age_s", self.age_s);
         sink.u64("accepted", self.accepted);
-        sink.integers("rejected", &self.rejected);
+        // By cause, as far as there were any.
+        let last = self.rejected.iter().rposition(|count| *count != 0);
+        sink.integers("rejected", first(&self.rejected, last.map_or(0, |last| last as u32 + 1)));
     }
 }
 
@@ -178,6 +180,12 @@ impl Fields for State {
         sink.message("timing", &self.timing);
         sink.u64("limits", self.limits);
         sink.f64("swing_m", self.swing_m);
+        sink.array("tip_covariance_m2", &self.tip_covariance_m2);
+        sink.f64("speed_scale", self.speed_scale);
+        sink.f64("reach_miss_m", self.reach_miss_m);
+        sink.f64("reach_miss_rad", self.reach_miss_rad);
+        sink.f64("reach_load", self.reach_load);
+        sink.array("reach_nearest_m", &self.reach_nearest_m);
         sink.numbers("fault_values", &self.fault_values);
         sink.u32("fault_flags", self.fault_flags);
         sink.messages("alarms", first(&self.alarms, self.alarm_count));

@@ -218,3 +218,33 @@ fn states_that_are_not_finite_give_nan_and_no_row() {
         assert!(found.minimum.is_nan() && found.rows.is_empty());
     }
 }
+
+#[test]
+fn what_an_element_may_be_off_by_counts_to_its_own_distances_alone() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(17);
+    let mut rows = 0;
+    for case in 0..100 {
+        let (geometry, r, t) = bent_arm(&mut rng, [0.0, 1.0, 3.0][case % 3]);
+        let pose = random_pose(&mut rng, &r[4 * (case % 6)], 0.3);
+        let obstacles = one(shape(&shapes()[case % 5]), &pose);
+        let mut body = Body::new(&geometry, BodyModel::Arm, 0.03);
+        let doubt: Vec<f64> = (0..geometry.elements.len()).map(|i| 0.002 * i as f64).collect();
+        let most = doubt.iter().copied().fold(0.0, f64::max);
+        let (reach, wide) = (0.1, 0.1 + most);
+        let bare: Vec<Proximity> = body.find(&r, &t, &obstacles, wide).rows.to_vec();
+        body.set_doubt(&doubt);
+        let found = body.find(&r, &t, &obstacles, reach);
+        let kept: Vec<&Proximity> = bare.iter().filter(|row| row.distance - doubt[row.point.element] < reach).collect();
+        assert_eq!(found.rows.len(), kept.len(), "case {case}");
+        for row in kept {
+            let same = found.rows.iter().find(|f| f.ordinal == row.ordinal).expect("the same row");
+            let by = doubt[row.point.element];
+            assert!((same.distance - (row.distance - by)).abs() < 1e-15);
+            assert!((same.inflation - (row.inflation + by)).abs() < 1e-15);
+            rows += 1;
+        }
+        let nearest = found.rows.iter().map(|row| row.distance).fold(f64::INFINITY, f64::min);
+        assert!(found.minimum == nearest || (found.rows.is_empty() && found.minimum >= reach - most), "case {case}");
+    }
+    assert!(rows > 100, "{rows}");
+}

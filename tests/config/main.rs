@@ -3,12 +3,13 @@
 // A test that cannot go on fails; the exemption of the lints covers test functions, not their helpers.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod along;
 mod scenarios;
 
 use sinew::config::schema::{Kind, Presence, TableSpec};
 use sinew::config::{
-    ArmConfig, BUILTIN_FILES, BusConfig, BusLayout, ChordRule, Config, ConfigError, PayloadConfig, Routing, SCENARIOS,
-    ScenarioConfig, SegmentConfig, StrainRule, TABLES,
+    ArmConfig, BUILTIN_FILES, BusConfig, BusLayout, ChordRule, Config, ConfigError, PayloadConfig, Route, Routing,
+    SCENARIOS, ScenarioConfig, SegmentConfig, StrainRule, TABLES, Taper,
 };
 use std::f64::consts::FRAC_1_SQRT_2;
 use std::fmt::Write as _;
@@ -71,6 +72,12 @@ fn the_built_in_arm_is_the_papers() {
         hole_radius_m: 0.05,
         hole_angles_rad: (0..6).map(|c| (30.0 + 60.0 * f64::from(c)).to_radians()).collect(),
         tension_n_max: None,
+        taper: Taper::default(),
+        route: Route::default(),
+        cable_ends: Vec::new(),
+        cables_from: None,
+        cable_stiffness_n: None,
+        cable_feed_m: 0.0,
     };
     let expected = ArmConfig {
         name: "paper".into(),

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, Vector3, Vector4};
 use rand::RngExt;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sinew::config::{ArmConfig, ChordRule, PayloadConfig, Routing, StrainRule};
+use sinew::config::{ArmConfig, ChordRule, PayloadConfig, Profile, Route, Routing, StrainRule, Taper};
 use sinew::integrator::Stepper;
 use sinew::math::block_tridiagonal::{BLOCK, BlockTridiagonal};
 use sinew::model::{Arm, Motion, Rates, State};
@@ -83,6 +83,34 @@ pub fn random_arm(rng: &mut Xoshiro256PlusPlus, routing: Routing, chord: ChordRu
     config.base_position_m = [0.3, -0.2, 0.5];
     config.base_quaternion = Vector4::new(0.4, -0.5, 0.7, 0.2).normalize().into();
     config
+}
+
+/// Lets everything change along an arm: tapered segments, converging and helical cables, some that end on the way, start
+/// behind the base or run through more segments than their own.
+pub fn vary(rng: &mut Xoshiro256PlusPlus, config: &mut ArmConfig) {
+    let mut profile = |from: f64, to: f64, low: f64, high: f64| {
+        let places = [0.0, 0.3, 0.3, 1.0];
+        Profile(places.map(|x| [from + (to - from) * x, rng.random_range(low..high)]).to_vec())
+    };
+    for (s, segment) in config.segments.iter_mut().enumerate() {
+        let own = |profile: &mut dyn FnMut(f64, f64, f64, f64) -> Profile| profile(0.0, 1.0, 0.5, 2.0);
+        segment.taper = Taper {
+            bending: own(&mut profile),
+            torsion: own(&mut profile),
+            backbone_mass: own(&mut profile),
+            backbone_radius: own(&mut profile),
+            disk_mass: own(&mut profile),
+            disk_radius: own(&mut profile),
+        };
+        segment.route =
+            Route { radius: profile(0.0, s as f64 + 1.0, 0.4, 1.6), turn: profile(0.0, s as f64 + 1.0, -2.0, 2.0) };
+    }
+    for (s, segment) in config.segments.iter_mut().enumerate() {
+        segment.cables_from = rng.random::<bool>().then(|| rng.random_range(0..=s));
+        let n = segment.elements;
+        segment.cable_ends =
+            segment.hole_angles_rad.iter().map(|_| rng.random_range(1..=n) as f64 / n as f64).collect();
+    }
 }
 
 /// `count` numbers in -span..span.

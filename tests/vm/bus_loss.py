@@ -38,8 +38,6 @@ CHANGES = {
         "period_s": "0.05\noverruns_hold = 1000\noverruns_fault = 10000",
         "encoder_silent_s": 5.0,
         "encoder_stuck_s": 10.0,
-        # So are answers of drives that are ticks old.
-        "sigma_multiple": "3.0\n\n[supervision]\ntension_error_s = 2.0",
     },
     "drives.toml": {
         "kind": '"socketcan"',

@@ -77,10 +77,11 @@ impl NmtState {
         }
     }
 
-    /// From the payload of a heartbeat; the toggle bit of the obsolete node guarding is ignored.
+    /// From the payload of a heartbeat. Its bit 7 is reserved and 0 (CiA 301, 7.2.8.3.2.2): with it set it is an answer of the
+    /// obsolete node guarding, which nobody asked for, or spoilt.
     pub fn decode(data: &[u8]) -> Option<Self> {
         let &[code] = data else { return None };
-        Some(match code & 0x7f {
+        Some(match code {
             0 => Self::BootUp,
             4 => Self::Stopped,
             5 => Self::Operational,

@@ -2,34 +2,25 @@
 
 use crate::{Args, World, each_seed};
 use sim_plant::follow::{Followed, follow, plant, scaled};
-use sinew::config::{ArmConfig, Config, ScenarioConfig};
+use sinew::config::{Config, ScenarioConfig};
 use std::path::{Path, PathBuf};
 
-/// The configuration that an arm's file alone gives: everything else is computed from it. The body is the backbone's curve
-/// where `curve` says so.
-fn alone(arm: &ArmConfig, curve: bool, period: Option<f64>) -> Config {
-    let mut config = Config::of_arm(arm, period).unwrap_or_else(|error| panic!("{error}"));
-    if curve {
-        config.planner.body_radius_m = 0.0;
-    }
+/// The configuration that an arm's file alone gives: everything else is computed from it. What the body is says the scenario, as
+/// in `sinew demo`.
+fn alone(scenario: &ScenarioConfig, period: Option<f64>) -> Config {
+    let mut config = Config::of_arm(&scenario.arm, period).unwrap_or_else(|error| panic!("{error}"));
+    config.planner.body_radius_m = scenario.planner.body_radius_m;
     config
 }
 
-pub(crate) fn run(
-    args: &Args,
-    scenarios: &[PathBuf],
-    scales: &[f64],
-    body: bool,
-    duration: Option<f64>,
-    trace: Option<&Path>,
-) {
-    println!("arm                  scale  seed  mean_%  max_% @s  kappa_%  distance_%  rough_%  estimate_%");
+pub(crate) fn run(args: &Args, scenarios: &[PathBuf], scales: &[f64], duration: Option<f64>, trace: Option<&Path>) {
+    println!("arm                  scale  seed  mean_%  max_% @s  kappa_%  distance_%  rough_%  rate  estimate_%");
     for path in scenarios {
         let original = ScenarioConfig::load(path).unwrap_or_else(|error| panic!("{}", error.report()));
         for scale in scales {
             each_seed(args, |seed| {
                 let scenario = scaled(&original, *scale);
-                let World { config, mut truth } = args.adapted(alone(&scenario.arm, !body, args.period), seed);
+                let World { config, mut truth } = args.adapted(alone(&scenario, args.period), seed);
                 let own = plant(&config, seed);
                 (truth.step_s, truth.encoder_step_m) = (own.step_s, own.encoder_step_m);
                 truth.disk_mass_factor = own.disk_mass_factor;
@@ -59,13 +50,14 @@ pub(crate) fn run(
 fn line(name: &str, scale: f64, seed: u64, shown: &Result<Followed, String>) {
     match shown {
         Ok(s) => println!(
-            "{name:20} {scale:5} {seed:5} {:7.3} {:6.3} {:5.1} {:7.3} {:9.3} {:9.4} {:9.3} {}",
+            "{name:20} {scale:5} {seed:5} {:7.3} {:6.3} {:5.1} {:7.3} {:9.3} {:9.4} {:6.3} {:9.3} {}",
             100.0 * s.error.0,
             100.0 * s.error.1,
             s.worst_s,
             100.0 * s.curvature_error,
             100.0 * s.distance,
             100.0 * s.roughness,
+            s.tension_rate,
             100.0 * s.estimate_error,
             s.failed.as_deref().unwrap_or("")
         ),

@@ -29,25 +29,11 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
     let World { mut config, truth } = args.world(seed);
     let scenario = ScenarioConfig::find(name).unwrap_or_else(|error| panic!("{error}"));
     config.planner.avoidance = scenario.planner.avoidance;
-    let mut settings = Settings::new(&config);
     let tip = matches!(scenario.task, Task::Tip { .. });
-    let arm = sinew::model::Arm::new(&config.arm);
-    if tip {
-        // The reference's start, as in the observers' study.
-        let text = include_str!("../../../tests/golden/tip_start.json");
-        let value: serde_json::Value = serde_json::from_str(text).unwrap();
-        settings.start_tensions_n = value["u0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
-        settings.start_tensions_n.iter_mut().for_each(|u| *u = u.max(config.arm.tension_n_min));
-    }
-    let mut bench = Bench::new(&config, &settings, &truth);
-    if tip {
-        let text = include_str!("../../../tests/golden/tip_start.json");
-        let value: serde_json::Value = serde_json::from_str(text).unwrap();
-        let q: Vec<f64> = value["q0"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
-        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
-        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
-        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
-    }
+    let mut bench = match tip {
+        true => Bench::at_start_of(&scenario, &config, &truth).expect("a start"),
+        false => Bench::new(&config, &Settings::new(&config), &truth),
+    };
     for obstacle in &scenario.obstacles {
         let shape = Shape::new(&obstacle.shape).unwrap();
         bench.obstacles.insert(bench.obstacles.now().len() as u64, &shape).unwrap();
@@ -67,6 +53,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
     let mut trace = trace.map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
     let (mut sum, mut count, mut worst, mut least, mut rough) = (0.0, 0usize, (0.0f64, 0.0), (f64::INFINITY, 0.0), 0.0);
     let (mut estimate_worst, mut turn_worst) = (0.0f64, 0.0f64);
+    let (mut inside, mut three_sigma) = (0usize, 0.0f64);
     let mut last: Vec<f64> = bench.cycle.tensions_n().to_vec();
     let mut failed = String::new();
     let mut speed = 0.0f64;
@@ -145,6 +132,9 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
             count += 1;
             rough += change;
             estimate_worst = estimate_worst.max(estimate);
+            let sigma = bench.cycle.governor().covariance().element_sigma_m().last().copied().unwrap_or(0.0);
+            inside += usize::from(estimate <= 3.0 * sigma);
+            three_sigma += 3.0 * sigma;
             if error > worst.0 {
                 worst = (error, now);
             }
@@ -225,15 +215,18 @@ fn one(args: &Args, name: &str, duration: Option<f64>, stop: bool, trace: Option
         curvature = bench.truth.curvatures().iter().zip(curvatures_1pm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     }
     format!(
-        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm, turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, speed {:.3} m/s, curvature {:.4} {failed}",
+        "tip mean {:.2} max {:.2} mm @{:.1}, estimate {:.2} mm ({:.2} % within 3 sigma of {:.1} mm), turn {:.4}, distance {:.2} mm @{:.1}, rough {:.3} N, rate {:.1} N/s, speed {:.3} m/s, curvature {:.4} {failed}",
         1e3 * sum / n,
         1e3 * worst.0,
         worst.1,
         1e3 * estimate_worst,
+        100.0 * inside as f64 / n,
+        1e3 * three_sigma / n,
         turn_worst,
         1e3 * least.0,
         least.1,
         (rough / n).sqrt(),
+        bench.tension_rate_max_nps,
         speed,
         curvature
     )

@@ -114,9 +114,6 @@ enum What {
         /// Each with arm and scene so many times as large.
         #[arg(long, value_delimiter = ',', default_value = "1")]
         scales: Vec<f64>,
-        /// The body has the disks' radius, not that of the backbone's curve.
-        #[arg(long)]
-        body: bool,
         /// Length of the run (s), in place of the scenario's.
         #[arg(long)]
         duration: Option<f64>,
@@ -209,8 +206,8 @@ fn main() {
         What::Follow { scenario, duration, stop, trace } => {
             follow::run(&args, scenario, *duration, *stop, trace.as_deref());
         }
-        What::Arms { scenarios, scales, body, duration, trace } => {
-            arms::run(&args, scenarios, scales, *body, *duration, trace.as_deref());
+        What::Arms { scenarios, scales, duration, trace } => {
+            arms::run(&args, scenarios, scales, *duration, trace.as_deref());
         }
     }
 }

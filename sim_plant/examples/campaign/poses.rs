@@ -10,21 +10,26 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 pub(crate) fn run(args: &Args, watch: f64, shapes: bool, chain: bool, pose: &[f64], trace: Option<&Path>) {
-    println!("seed  path_s  error_mm  p2p_mm  est_mm  vmax  umax  sat  dkappa  reach_mm  rough growth");
+    println!(
+        "seed  path_s  error_mm  p2p_mm  est_mm  3sigma within_%  vmax  umax  sat  dkappa  reach_mm  rough rate_nps growth"
+    );
     let line = |s: &Shown| {
         println!(
-            "{:4} {:7.2} {:8.2} {:7.2} {:7.2} {:6.3} {:5.0} {:3} {:.4} {:6.2} {:.3} {:7.3} {}",
+            "{:4} {:7.2} {:8.2} {:7.2} {:7.2} {:7.2} {:8.2} {:6.3} {:5.0} {:3} {:.4} {:6.2} {:.3} {:7.1} {:7.3} {}",
             s.seed,
             s.path_s,
             1e3 * s.error,
             1e3 * s.peak_to_peak,
             1e3 * s.estimate_error,
+            1e3 * s.three_sigma,
+            100.0 * s.within,
             s.speed_max,
             s.tension_max,
             s.saturated,
             s.curvature_error,
             1e3 * s.reach,
             s.roughness,
+            s.tension_rate_max,
             s.growth,
             s.failed.as_deref().unwrap_or("")
         );

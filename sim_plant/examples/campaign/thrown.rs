@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sim_plant::bench::Bench;
 use sinew::collision::{Body, BodyGeometry, Shape};
-use sinew::config::{BodyModel, ShapeConfig};
+use sinew::config::{BodyModel, ScenarioConfig, ShapeConfig};
 use sinew::control::obstacles::Placement;
 use sinew::control::{Mode, Request, Settings, Target, TargetInput};
 use std::fs::File;
@@ -48,21 +48,23 @@ struct Met {
     tip: f64,
     end: f64,
     touched: f64,
+    rate: f64,
     failed: Option<String>,
 }
 
 pub fn run(args: &Args, thrown: &Thrown) {
-    println!("seed  least_mm at_s  touched_mps  vmax_mps  tip_mm  end_mm");
+    println!("seed  least_mm at_s  touched_mps  vmax_mps  tip_mm  end_mm  rate_nps");
     let all = each_seed(args, |seed| {
         let met = one(args, thrown, seed);
         println!(
-            "{seed:4} {:9.2} {:5.2} {:8.3} {:8.3} {:8.1} {:8.2} {}",
+            "{seed:4} {:9.2} {:5.2} {:8.3} {:8.3} {:8.1} {:8.2} {:8.1} {}",
             1e3 * met.least.0,
             met.least.1,
             met.touched,
             met.speed,
             1e3 * met.tip,
             1e3 * met.end,
+            met.rate,
             met.failed.as_deref().unwrap_or("")
         );
         met
@@ -79,23 +81,15 @@ pub fn run(args: &Args, thrown: &Thrown) {
 
 fn one(args: &Args, thrown: &Thrown, seed: u64) -> Met {
     let World { config, truth } = args.world(seed);
-    let mut settings = Settings::new(&config);
-    let arm = sinew::model::Arm::new(&config.arm);
-    let start: serde_json::Value =
-        serde_json::from_str(include_str!("../../../tests/golden/tip_start.json")).expect("the paper's start");
-    let numbers =
-        |key: &str| -> Vec<f64> { start[key].as_array().into_iter().flatten().filter_map(|x| x.as_f64()).collect() };
-    if !thrown.straight {
-        settings.start_tensions_n = numbers("u0").iter().map(|u| u.max(config.arm.tension_n_min)).collect();
-    }
-    let mut bench = Bench::new(&config, &settings, &truth);
-    if !thrown.straight {
-        let q = numbers("q0");
-        let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
-        arm.curvatures_into(&q, &vec![0.0; q.len()], &mut k, &mut kd);
-        bench.truth.start_at_equilibrium(&settings.start_tensions_n, &k).expect("the plant rests");
-    }
-    let mut met = Met { least: (f64::INFINITY, 0.0), speed: 0.0, tip: 0.0, end: 0.0, touched: 0.0, failed: None };
+    let mut bench = match thrown.straight {
+        true => Bench::new(&config, &Settings::new(&config), &truth),
+        false => {
+            let scenario = ScenarioConfig::find("tip").expect("built in");
+            Bench::at_start_of(&scenario, &config, &truth).expect("the paper's start")
+        }
+    };
+    let mut met =
+        Met { least: (f64::INFINITY, 0.0), speed: 0.0, tip: 0.0, end: 0.0, touched: 0.0, rate: 0.0, failed: None };
     if let Err(why) = bench.arm(60.0) {
         met.failed = Some(why);
         return met;
@@ -216,5 +210,6 @@ fn one(args: &Args, thrown: &Thrown, seed: u64) -> Met {
             break;
         }
     }
+    met.rate = bench.tension_rate_max_nps;
     met
 }

@@ -307,6 +307,10 @@ fn isolate(
 fn adapt(tables: &mut Table, demo: &Demo, scenario: &ScenarioConfig) {
     let planner = table(tables, "planner");
     planner.insert("avoidance".into(), scenario.planner.avoidance.into());
+    if demo.config.is_empty() {
+        // What of the arm may not touch is the scenario's to say, to which its obstacles are placed.
+        planner.insert("body_radius_m".into(), scenario.planner.body_radius_m.into());
+    }
     if let Some(warning) = demo.warning {
         let name = match warning {
             Branch::Swarm => "swarm",

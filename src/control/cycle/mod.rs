@@ -4,6 +4,7 @@
 //! and belongs after sending, so that distances and telemetry never delay a command.
 
 mod elapsed;
+mod memory;
 mod motion;
 mod plan;
 mod postures;
@@ -103,7 +104,7 @@ pub struct TickOutput {
 }
 
 /// The controller of one arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Cycle<E, P = Planner> {
     settings: Settings,
     steering: Steering,
@@ -127,7 +128,11 @@ pub struct Cycle<E, P = Planner> {
     postures: Postures,
     motion: MotionWatch,
     governor: Governor,
+    /// Speed over the configured one that was asked for.
+    speed_scale: f64,
     singular_in_row: u32,
+    /// What the encoders' readings mean along the arm, where cables stretch (m).
+    read_m: Vec<f64>,
     model_lengths: Vec<f64>,
     model_rates: Vec<f64>,
     /// Largest tension of each cable (N).
@@ -156,7 +161,7 @@ impl<E: Estimator> Cycle<E> {
     pub fn new(settings: &Settings, estimator: E) -> Self {
         let steering = Steering::new(settings);
         let planner = Planner::new(&settings.arm, &settings.planner, steering.tension, &steering.change);
-        Self::with_planner(settings, estimator, planner)
+        Self::assemble(settings, estimator, planner, steering)
     }
 }
 
@@ -166,6 +171,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// # Panics
     /// As [`Cycle::new`].
     pub fn with_planner(settings: &Settings, estimator: E, planner: P) -> Self {
+        Self::assemble(settings, estimator, planner, Steering::new(settings))
+    }
+
+    fn assemble(settings: &Settings, estimator: E, planner: P, steering: Steering) -> Self {
         let arm = Arm::new(&settings.arm);
         let (cables, segments, nodes) = (arm.cable_count(), arm.segment_count(), arm.node_count());
         assert!(cables <= CABLES_MAX && 2 * segments <= CURVATURES_MAX, "{cables} cables, {segments} segments");
@@ -201,8 +210,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             estimate: Estimate::default(),
             postures: Postures::new(settings, &arm),
             motion: MotionWatch::new(settings.arm.length_m(), cables),
-            governor: Governor::new(&arm, &settings.arm, &settings.governor, planning),
+            governor: Governor::new(&arm, &settings.arm, &settings.governor, planning, &settings.observer),
+            speed_scale: 1.0,
             singular_in_row: 0,
+            read_m: vec![f64::NAN; cables],
             model_lengths: vec![0.0; cables],
             model_rates: vec![0.0; cables],
             maxima_n: settings.arm.tension_maxima_n(),
@@ -217,7 +228,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             positions: vec![Vector3::zeros(); nodes + 1],
             tangents: vec![Vector3::zeros(); nodes + 1],
             record: Record::default(),
-            steering: Steering::new(settings),
+            steering,
             settings: settings.clone(),
             arm,
             estimator,
@@ -269,6 +280,17 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// The governor.
     pub const fn governor(&self) -> &Governor {
         &self.governor
+    }
+
+    /// Asks for a share of the configured speed on every way to a target, above 0 and at most 1: kept until another is asked
+    /// for, or the arm is disarmed. Giving way to obstacles, holding and stopping keep their own.
+    pub const fn set_speed_scale(&mut self, scale: f64) {
+        self.speed_scale = scale;
+    }
+
+    /// Share of the configured speed that was asked for.
+    pub const fn speed_scale(&self) -> f64 {
+        self.speed_scale
     }
 
     /// Where the estimate has its tip (m, base frame).
@@ -341,7 +363,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             Mode::Disarmed | Mode::Starting => self.observing,
             _ => true,
         };
-        self.encoders.check(&inputs.encoders, inputs.now_ns, model, watch, faults);
+        let torque = inputs.drives.phase == DrivesPhase::Enabled;
+        for (c, (along, drum)) in self.read_m.iter_mut().zip(inputs.encoders.lengths_m).enumerate() {
+            *along = self.arm.along_arm(c, *drum, if torque { self.sent[c] } else { 0.0 });
+        }
+        let told = inputs.encoders.lengths_m.len().min(self.read_m.len());
+        let readings = EncoderReadings { lengths_m: &self.read_m[..told], ..inputs.encoders };
+        self.encoders.check(&readings, inputs.now_ns, model, watch, faults);
         if self.observing && self.encoders.bridged().0 != 0 {
             limits.insert(Limit::EncoderBridged);
         }
@@ -449,6 +477,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             target_fresh: inputs.target.is_some_and(|target| target.fresh),
             obstacles: inputs.demand,
             hold,
+            unreachable: self.governor.is_refused(),
             at_safe_tension: self.sent.iter().zip(&self.safe).all(|(sent, safe)| sent <= safe),
             at_home: self.curvatures[..count]
                 .iter()
@@ -475,6 +504,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         }
         self.ramp.end();
         self.singular_in_row = 0;
+        if mode == Mode::Disarmed {
+            self.speed_scale = 1.0;
+        }
         if mode == Mode::Starting {
             self.observing = false;
             self.postures.forget();

@@ -11,7 +11,7 @@ const SPAN_NS: u64 = 200_000_000;
 const STILL_NS: u64 = 1_000_000_000;
 
 /// Looks at an arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct MotionWatch {
     length_m: f64,
     lengths_m: Vec<f64>,

@@ -8,7 +8,7 @@ use crate::control::estimator::Estimator;
 use crate::control::fault::{Limit, Limits};
 use crate::control::governor::Wish;
 use crate::control::target::Target;
-use crate::planner::{Goal, Inputs, Report, Status};
+use crate::planner::{Goal, Inputs, LedTo, Report, Status};
 use crate::posture::Surroundings;
 use nalgebra::{Vector3, Vector4};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -71,6 +71,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let around = self.settings.planner.avoidance.then_some(&around);
         let period_s = self.settings.timing.period_s;
         let q = &self.estimator.predicted().q;
+        self.governor.set_swing(self.supervision.swing_m());
         self.governor.advance(period_s, &wish, q, &self.curvatures[..count], around);
         if self.governor.is_blocked() {
             limits.insert(Limit::Blocked);
@@ -91,7 +92,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 goal,
                 now: inputs.obstacles.now(),
                 ahead: inputs.obstacles.ahead(),
-                led_to: Some(self.governor.reference_coordinates()),
+                led_to: Some(LedTo {
+                    coordinates: self.governor.reference_coordinates(),
+                    doubt_m: self.governor.doubt_m(),
+                }),
             },
             rng,
             deadline,

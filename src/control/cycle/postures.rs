@@ -13,7 +13,7 @@ use crate::model::{Arm, State};
 const NEAR: f64 = 0.006;
 
 /// Postures of an arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Postures {
     /// Mean curvatures at rest under the safe tensions (1/m).
     rest: Vec<f64>,

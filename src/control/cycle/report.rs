@@ -25,6 +25,13 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.fault = self.supervisor.latch().first;
         r.fault_count = self.supervisor.latch().count;
         r.swing_m = self.supervision.swing_m();
+        r.tip_covariance_m2 = self.governor.covariance().tip().map_or([f64::NAN; 9], |p| {
+            let mut rows = [0.0; 9];
+            rows.copy_from_slice(p.as_slice());
+            rows
+        });
+        r.speed_scale = self.speed_scale;
+        r.reach = self.governor.reach().copied();
         r.drives = inputs.drives.phase;
         r.deadlines_missed = self.supervisor.deadlines_missed();
         r.events_dropped = self.supervisor.events_mut().dropped;

@@ -4,10 +4,13 @@ use super::{Cycle, Plan, TickInputs};
 use crate::control::estimator::Estimator;
 use crate::control::fault::FaultList;
 use crate::control::supervision::{SLOW_PACE, Seen, Verdict};
+use crate::control::supervisor::Mode;
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// Watches motion, tensions and cables while the arm holds or moves.
     pub(super) fn supervise(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Verdict {
+        let stops = matches!(self.supervisor.mode(), Mode::Stopping | Mode::Faulted);
+        self.governor.set_scale(if stops { 1.0 } else { self.speed_scale });
         if !(self.observing && self.supervisor.mode().is_planning()) {
             self.governor.set_pace(1.0);
             return Verdict::default();
@@ -16,6 +19,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let tip = self.arm.tip(&state.q, &state.qd);
         self.arm.cable_lengths_into(&state.q, &mut self.model_lengths);
         let count = 2 * self.arm.segment_count();
+        let age_ns = inputs.now_ns.saturating_sub(inputs.encoders.capture_ns);
         let seen = Seen {
             h: f64::from(periods) * self.settings.timing.period_s,
             tip: tip.position,
@@ -26,6 +30,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             sent_n: &self.sent,
             commanded_n: &self.commanded,
             measured_n: inputs.tensions_measured_n,
+            measured_age_ticks: age_ns as f64 / self.period_ns as f64,
             lengths_m: self.encoders.lengths_m(),
             model_m: &self.model_lengths,
             disturbance_nm: self.estimator.disturbance_nm(),

@@ -40,7 +40,7 @@ pub struct WrongLength {
 }
 
 /// The check of one arm. [`LengthCheck::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct LengthCheck {
     space: CableSpace,
     /// 1 - P_cc.
@@ -94,7 +94,8 @@ impl LengthCheck {
             elements: arm
                 .segment_elements
                 .iter()
-                .map(|e| (e.clone().map(|e| arm.elements[e].length).sum(), e.len() as f64))
+                .enumerate()
+                .map(|(s, e)| (arm.segment_length(s), e.len() as f64))
                 .collect(),
             last_m: vec![f64::NAN; cables],
             still_s: vec![0.0; cables],

@@ -48,6 +48,8 @@ pub struct Seen<'a> {
     pub commanded_n: &'a [f64],
     /// Tensions that the drives measure (N); empty for none, NaN where not valid.
     pub measured_n: &'a [f64],
+    /// How long ago they were measured (ticks).
+    pub measured_age_ticks: f64,
     /// Cable lengths as measured (m).
     pub lengths_m: &'a [f64],
     /// Cable lengths of the estimate (m).
@@ -70,7 +72,7 @@ pub struct Verdict {
 }
 
 /// The supervision of one arm.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Supervision {
     settings: SupervisionConfig,
     /// Length of the segment of each curvature (m).
@@ -163,7 +165,9 @@ impl Supervision {
                 verdict.answer(s.saturation_answer, Limit::Saturated, fault, faults);
             }
         }
-        if let Some(WrongTension { cable, error_n }) = self.tensions.check(seen.h, seen.commanded_n, seen.measured_n) {
+        if let Some(WrongTension { cable, error_n }) =
+            self.tensions.check(seen.h, seen.commanded_n, seen.measured_n, seen.measured_age_ticks)
+        {
             verdict.answer(s.tension_error_answer, Limit::TensionError, Fault::TensionError { cable, error_n }, faults);
         }
         if let Some(wrong) = self.lengths.check(seen.h, seen.lengths_m, seen.model_m) {

@@ -47,7 +47,7 @@ pub struct WrongPull {
 }
 
 /// The check of one arm. [`PullCheck::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct PullCheck {
     /// Levers (m) of each cable about its own segment's bends.
     lever: Vec<[f64; 2]>,
@@ -60,7 +60,7 @@ pub struct PullCheck {
 }
 
 /// What a segment's last seconds sum up to.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Segment {
     first: usize,
     count: usize,

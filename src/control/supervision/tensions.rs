@@ -2,8 +2,10 @@
 
 /// Ticks that a command and its measurement may take beside the declared latency.
 const WAY_TICKS: usize = 3;
-/// Most commands that are remembered.
+/// Most ticks of the declared way.
 const WAY_MAX: usize = 24;
+/// Oldest measurement that is compared (ticks): older ones tell nothing of what the drive does now.
+const AGE_MAX: usize = 64;
 
 /// A drive that does not obey.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,10 +17,12 @@ pub struct WrongTension {
 }
 
 /// The check of all drives. [`TensionCheck::new`] allocates, nothing else does.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct TensionCheck {
     limit_n: f64,
     time_s: f64,
+    /// Commands that a measurement may answer.
+    way: usize,
     /// Commands of the last ticks, the oldest overwritten first.
     commands: Vec<Vec<f64>>,
     next: usize,
@@ -29,11 +33,13 @@ pub struct TensionCheck {
 impl TensionCheck {
     /// For so many cables, a band (N) and the time for which it may be left (s). Allocates.
     pub fn new(cables: usize, limit_n: f64, time_s: f64, latency_ticks: usize) -> Self {
-        let ticks = (WAY_TICKS + latency_ticks).min(WAY_MAX);
+        let way = (WAY_TICKS + latency_ticks).min(WAY_MAX);
         Self {
             limit_n,
             time_s,
-            commands: vec![vec![0.0; cables]; ticks],
+            way,
+            // What is not a whole number of ticks old lies between two commands.
+            commands: vec![vec![0.0; cables]; way + AGE_MAX + 1],
             next: 0,
             known: 0,
             since_s: vec![0.0; cables],
@@ -47,17 +53,22 @@ impl TensionCheck {
     }
 
     /// One tick of `h` seconds: tensions told in the tick before (N), tensions measured (N, empty for none, NaN where not
-    /// valid). A measurement may answer any of the last commands. The drive that is farthest off. Does not allocate.
-    pub fn check(&mut self, h: f64, commanded_n: &[f64], measured_n: &[f64]) -> Option<WrongTension> {
+    /// valid) and for how many ticks they have been known to their drives. Such a measurement may answer any of the commands
+    /// that were the last ones then. The drive that is farthest off. Does not allocate.
+    pub fn check(&mut self, h: f64, commanded_n: &[f64], measured_n: &[f64], age_ticks: f64) -> Option<WrongTension> {
+        let ring = self.commands.len();
         self.commands[self.next].copy_from_slice(commanded_n);
-        self.next = (self.next + 1) % self.commands.len();
-        self.known = (self.known + 1).min(self.commands.len());
-        if self.known < self.commands.len() {
+        self.next = (self.next + 1) % ring;
+        self.known = (self.known + 1).min(ring);
+        // A whole number of ticks but for the clock's rounding.
+        let (first, last) = ((age_ticks + 1e-3).max(0.0).floor(), (age_ticks - 1e-3).max(0.0).ceil());
+        if !age_ticks.is_finite() || first > AGE_MAX as f64 || last as usize + self.way > self.known {
             return None;
         }
+        let answered = first as usize..last as usize + self.way;
         let mut worst: Option<WrongTension> = None;
         for (cable, (&measured, since_s)) in measured_n.iter().zip(&mut self.since_s).enumerate() {
-            let told = self.commands.iter().map(|told| told[cable]);
+            let told = answered.clone().map(|age| self.commands[(self.next + ring - 1 - age) % ring][cable]);
             let (low, high) = told.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), u| (a.min(u), b.max(u)));
             let error_n = (measured - high).max(0.0) - (low - measured).max(0.0);
             *since_s = if error_n.abs() > self.limit_n { *since_s + h } else { 0.0 };
@@ -82,7 +93,7 @@ mod tests {
     ) -> Option<(usize, WrongTension)> {
         let mut check = TensionCheck::new(2, 5.0, 0.1, 0);
         (0..100).find_map(|k| {
-            let found = check.check(H, &[40.0, told(k)], &[40.0, measured(&told, k)])?;
+            let found = check.check(H, &[40.0, told(k)], &[40.0, measured(&told, k)], 0.0)?;
             Some((k, found))
         })
     }
@@ -106,5 +117,21 @@ mod tests {
             assert_eq!((found.cable, found.error_n), (1, error));
             assert!((59..=62).contains(&k), "{k}");
         }
+    }
+
+    #[test]
+    fn an_old_measurement_is_compared_with_the_commands_of_its_own_time() {
+        // 400 N/s: 20 ticks later the drive was told 80 N more.
+        let late = |age_ticks: f64, error: f64| {
+            let mut check = TensionCheck::new(1, 5.0, 0.1, 0);
+            (0..100).any(|k| {
+                let told = |k: usize| 4.0 * k as f64;
+                check.check(H, &[told(k)], &[told(k.saturating_sub(20)) + error], age_ticks).is_some()
+            })
+        };
+        assert!(!late(20.0, 0.0) && !late(19.4, 0.0));
+        assert!(late(0.0, 0.0), "it does not follow");
+        assert!(late(20.0, 9.0) && late(20.0, -30.0), "it obeys no better for being heard late");
+        assert!(!late(100.0, 900.0) && !late(f64::NAN, 900.0), "from before anything is remembered of");
     }
 }

@@ -29,6 +29,7 @@ fn answered(
             sent_n: &shown.told,
             commanded_n: &shown.told,
             measured_n: &[],
+            measured_age_ticks: 0.0,
             lengths_m: &lengths,
             model_m: &lengths,
             disturbance_nm: &[],

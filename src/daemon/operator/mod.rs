@@ -1,9 +1,10 @@
-//! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own; and for those whom `[access]`
-//! names, who have no part in the daemon's shared memory, everything else.
+//! The arm's socket: stop, hold, disarm, emergency stop, speed and status on a way of their own; and for those whom
+//! `[access]` names, who have no part in the daemon's shared memory, everything else.
 //!
-//! Enters: one line with one word, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
-//! order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend on what an arm is
-//! otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O thread stuck.
+//! Enters: one line with one word, and a number after `speed`, from a process whose user the kernel vouches for. Leaves: one
+//! line of JSON, and the order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend
+//! on what an arm is otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O
+//! thread stuck.
 //! `arm`, `track`, `home`, `clear` and `target {...}` go through the I/O thread, as those of shared memory do. After
 //! `publish obstacles ID` or `publish targets ID` follow lines of JSON without end (`lines`).
 //!
@@ -17,7 +18,7 @@ mod streams;
 pub(crate) use server::{Desk, OperatorSocket};
 
 use super::status::StatusReport;
-use crate::ipc::payload::{Obstacles, RequestKind, Response, Target};
+use crate::ipc::payload::{Obstacles, RequestKind, Response, Target, is_speed_scale};
 use crate::ipc::{Domain, IpcError, run_dir};
 use lines::{PointLine, SetLine};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
@@ -31,7 +32,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// What can be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Word {
     /// Ramp the tensions down, then disarm.
     Stop,
@@ -43,6 +44,8 @@ pub enum Word {
     EmergencyStop,
     /// Release it.
     EmergencyRelease,
+    /// Move at this share of the configured speed.
+    Speed(f64),
     /// The daemon's report.
     Status,
     /// Enable the drives and hold the pose.
@@ -55,9 +58,21 @@ pub enum Word {
     Clear,
 }
 
+/// Reads a speed: a share (`0.5`) or per cent (`50%`) of the configured one.
+///
+/// # Errors
+/// It is no number, or not between 1 % and 100 %; in words.
+pub fn parse_speed(text: &str) -> Result<f64, String> {
+    let refused = || format!("speed `{text}`: expected 1% to 100% of the configured speed, or 0.01 to 1");
+    let text = text.trim();
+    let (number, unit) = text.strip_suffix('%').map_or((text, 1.0), |number| (number.trim_end(), 0.01));
+    let scale = unit * number.parse::<f64>().map_err(|_| refused())?;
+    if is_speed_scale(scale) { Ok(scale) } else { Err(refused()) }
+}
+
 impl Word {
-    /// Every word.
-    pub const ALL: [Self; 10] = [
+    /// Every word that stands alone.
+    const ALONE: [Self; 10] = [
         Self::Stop,
         Self::Hold,
         Self::Disarm,
@@ -70,7 +85,23 @@ impl Word {
         Self::Clear,
     ];
 
-    /// As it is sent.
+    /// Reads a line as it is sent, without its end; `None` if it begins with no word, and in words what is wrong with a speed.
+    pub fn parse(line: &str) -> Option<Result<Self, String>> {
+        match line.strip_prefix("speed ") {
+            Some(speed) => Some(parse_speed(speed).map(Self::Speed)),
+            None => Self::ALONE.into_iter().find(|word| line == word.text()).map(Ok),
+        }
+    }
+
+    /// The line as it is sent, without its end.
+    pub fn line(self) -> String {
+        match self {
+            Self::Speed(scale) => format!("speed {scale}"),
+            word => word.text().to_owned(),
+        }
+    }
+
+    /// What it is called.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Stop => "stop",
@@ -78,6 +109,7 @@ impl Word {
             Self::Disarm => "disarm",
             Self::EmergencyStop => "emergency-stop",
             Self::EmergencyRelease => "emergency-release",
+            Self::Speed(_) => "speed",
             Self::Status => "status",
             Self::Arm => "arm",
             Self::Track => "track",
@@ -91,6 +123,11 @@ impl Word {
         matches!(self, Self::Stop | Self::Hold | Self::Disarm | Self::EmergencyStop)
     }
 
+    /// Whether it is the control thread's alone, which hears it past the I/O thread, and of those who may stop.
+    pub const fn is_direct(self) -> bool {
+        self.stops() || matches!(self, Self::EmergencyRelease | Self::Speed(_))
+    }
+
     /// The request that it stands for; `None` for the report.
     pub const fn request(self) -> Option<RequestKind> {
         match self {
@@ -99,6 +136,7 @@ impl Word {
             Self::Disarm => Some(RequestKind::Disarm),
             Self::EmergencyStop => Some(RequestKind::EmergencyStop),
             Self::EmergencyRelease => Some(RequestKind::EmergencyRelease),
+            Self::Speed(_) => Some(RequestKind::Speed),
             Self::Status => None,
             Self::Arm => Some(RequestKind::Arm),
             Self::Track => Some(RequestKind::Track),
@@ -262,7 +300,7 @@ impl Address {
     /// [`OperatorError`] where none is found; what went wrong with one that was found stands in its place.
     pub fn ask_all(&self, word: Word, timeout: Duration) -> Result<Vec<Heard>, OperatorError> {
         let deadline = Instant::now() + timeout;
-        self.say(self.find(deadline)?, word.text(), timeout, deadline)
+        self.say(self.find(deadline)?, &word.line(), timeout, deadline)
     }
 
     fn say(
@@ -297,7 +335,7 @@ impl Address {
     /// # Errors
     /// [`OperatorError`].
     pub fn ask(&self, word: Word, timeout: Duration) -> Result<Said, OperatorError> {
-        self.say_to_one(word.text(), timeout)
+        self.say_to_one(&word.line(), timeout)
     }
 
     /// Gives the daemon one target, which is kept until another comes. A capture time of 0 stands for now.

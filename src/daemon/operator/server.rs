@@ -6,7 +6,7 @@ use super::{Address, Answer, Said, Word};
 use crate::config::{AccessConfig, Who};
 use crate::daemon::DaemonError;
 use crate::daemon::records::refusal_text;
-use crate::ipc::payload::{RefusalReason, Request, RequestKind, Response, Verdict};
+use crate::ipc::payload::{RefusalReason, Request, RequestKind, Response, Verdict, speed_text};
 use crate::ipc::{BySocket, DirectEnd, IpcError, Reply, SocketPort, ToSocket, run_dir};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use sinew_hal::peer::{self, Peer, group_id, user_id, user_text};
@@ -112,7 +112,7 @@ impl Rights {
     fn may_ask(&self, peer: &Peer, word: Word) -> bool {
         let right = match word {
             Word::Status => &self.see,
-            word if word.stops() || word == Word::EmergencyRelease => &self.stop,
+            word if word.is_direct() => &self.stop,
             _ => &self.command,
         };
         right.contains(peer) || self.command.contains(peer)
@@ -190,7 +190,30 @@ struct Guest {
     since: Instant,
     line: Vec<u8>,
     /// Waits for the control thread's answer to this.
-    asked: Option<(u64, &'static str)>,
+    asked: Option<(u64, Asked)>,
+}
+
+/// What an answer is waited for.
+#[derive(Debug, Clone, Copy)]
+enum Asked {
+    Word(Word),
+    Target,
+}
+
+impl Asked {
+    fn text(self) -> &'static str {
+        match self {
+            Self::Word(word) => word.text(),
+            Self::Target => "target",
+        }
+    }
+
+    fn line(self) -> String {
+        match self {
+            Self::Word(word) => word.line(),
+            Self::Target => "target".to_owned(),
+        }
+    }
 }
 
 /// What becomes of a guest after a look.
@@ -359,9 +382,9 @@ impl Desk {
     fn listen(&mut self, place: usize) -> Next {
         let Self { guests, direct, socket, .. } = self;
         let guest = &mut guests[place];
-        if let Some((_, word)) = guest.asked {
+        if let Some((_, asked)) = guest.asked {
             if guest.since.elapsed() > ANSWER {
-                tell(&guest.stream, &Said::Answer(unanswered(word, RefusalReason::NoAnswer)));
+                tell(&guest.stream, &Said::Answer(unanswered(asked, RefusalReason::NoAnswer)));
                 return Next::Goes;
             }
             return Next::Stays;
@@ -397,7 +420,7 @@ impl Desk {
             }
         }
         let (uid, pid) = (guest.peer.uid, guest.peer.pid);
-        let (word, ticket) = match order {
+        let (asked, ticket) = match order {
             Err(why) => {
                 tell(&guest.stream, &Said::Refused(why));
                 return Next::Goes;
@@ -407,7 +430,7 @@ impl Desk {
                     refuse(&guest.stream, &guest.peer, "target");
                     return Next::Goes;
                 }
-                ("target", direct.ask_io(*request))
+                (Asked::Target, direct.ask_io(*request))
             }
             Ok(Order::Word(word)) => {
                 if !socket.rights.may_ask(&guest.peer, word) {
@@ -415,18 +438,19 @@ impl Desk {
                     return Next::Goes;
                 }
                 let Some(kind) = word.request() else { return Next::Status };
-                // What only stops goes past the I/O thread.
-                let past = word.stops() || word == Word::EmergencyRelease;
-                (word.text(), if past { direct.ask(kind) } else { direct.ask_io(Request::new(kind)) })
+                let speed_scale = if let Word::Speed(scale) = word { scale } else { 1.0 };
+                let ticket =
+                    if word.is_direct() { direct.ask(kind, speed_scale) } else { direct.ask_io(Request::new(kind)) };
+                (Asked::Word(word), ticket)
             }
             Ok(Order::Publish(..)) => return Next::Goes,
         };
-        tracing::info!(uid, pid, "asked for {word}");
-        (guest.asked, guest.since) = (ticket.map(|ticket| (ticket, word)), Instant::now());
+        tracing::info!(uid, pid, "asked for {}", asked.line());
+        (guest.asked, guest.since) = (ticket.map(|ticket| (ticket, asked)), Instant::now());
         if guest.asked.is_some() {
             return Next::Stays;
         }
-        tell(&guest.stream, &Said::Answer(unanswered(word, RefusalReason::Busy)));
+        tell(&guest.stream, &Said::Answer(unanswered(asked, RefusalReason::Busy)));
         Next::Goes
     }
 }
@@ -441,8 +465,8 @@ enum Order {
 impl Order {
     /// What is meant; why it is not understood, in words.
     fn of(line: &str) -> Result<Self, String> {
-        if let Some(word) = Word::ALL.into_iter().find(|word| line == word.text()) {
-            return Ok(Self::Word(word));
+        if let Some(word) = Word::parse(line) {
+            return word.map(Self::Word);
         }
         if let Some(text) = line.strip_prefix("target ") {
             let point: PointLine = serde_json::from_str(text).map_err(|error| format!("target: {error}"))?;
@@ -461,9 +485,10 @@ impl Order {
             Some(Self::Publish(content, id.trim().parse().ok()?))
         });
         published.ok_or_else(|| {
-            let words: Vec<&str> = Word::ALL.iter().map(|word| word.text()).collect();
+            let words: Vec<&str> = Word::ALONE.iter().map(|word| word.text()).collect();
             format!(
-                "expected a line with one of {}, target {{...}}, publish obstacles ID, publish targets ID",
+                "expected a line with one of {}, speed and a share of the configured one (`speed 50%`), target {{...}}, \
+                 publish obstacles ID, publish targets ID",
                 words.join(", ")
             )
         })
@@ -480,9 +505,9 @@ fn refuse(stream: &UnixStream, peer: &Peer, what: &str) {
 }
 
 /// An answer that the control thread did not give.
-fn unanswered(word: &str, reason: RefusalReason) -> Answer {
+fn unanswered(asked: Asked, reason: RefusalReason) -> Answer {
     Answer {
-        asked: word.into(),
+        asked: asked.text().into(),
         accepted: false,
         reason: reason.wire(),
         detail: 0,
@@ -494,25 +519,29 @@ fn unanswered(word: &str, reason: RefusalReason) -> Answer {
 }
 
 fn answer(guest: &Guest, reply: &Reply) {
-    let Some((_, word)) = guest.asked else { return };
+    let Some((_, asked)) = guest.asked else { return };
     let accepted = reply.verdict == Verdict::Accepted;
-    let text = if accepted { reply.supervisor.text() } else { refusal_text(reply.reason, reply.detail) };
+    let text = match asked {
+        Asked::Word(Word::Speed(scale)) if accepted => speed_text(reply.supervisor, scale),
+        _ if accepted => reply.supervisor.text().into(),
+        _ => refusal_text(reply.reason, reply.detail).into(),
+    };
     let answer = Answer {
-        asked: word.into(),
+        asked: asked.text().into(),
         accepted,
         reason: reply.reason.wire(),
         detail: reply.detail,
         supervisor: reply.supervisor.wire(),
         fault_code: reply.fault_code,
         fault_detail: reply.fault_detail,
-        text: text.into(),
+        text,
     };
     tell(&guest.stream, &Said::Answer(answer));
 }
 
 /// The same as the I/O thread has it, in its words.
 fn answer_of_io(guest: &Guest, response: &Response) {
-    let Some((_, word)) = guest.asked else { return };
+    let Some((_, asked)) = guest.asked else { return };
     let reason = RefusalReason::from_wire(response.reason);
     let text = match reason {
         // The text names the cause.
@@ -520,7 +549,7 @@ fn answer_of_io(guest: &Guest, response: &Response) {
         Some(reason) => refusal_text(reason, response.detail),
     };
     let answer = Answer {
-        asked: word.into(),
+        asked: asked.text().into(),
         accepted: response.is_accepted(),
         reason: response.reason,
         detail: response.detail,

@@ -109,6 +109,10 @@ fn an_order_reaches_the_control_thread_and_its_answer_comes_back() {
         assert!(answer.accepted && answer.response().is_accepted(), "{answer:?}");
         assert_eq!((answer.asked.as_str(), answer.text.as_str()), (word.text(), "stopping"));
     }
+    let asking = bench.asks(Word::Speed(0.25));
+    assert_eq!(bench.answer(None), RequestKind::Speed);
+    let Said::Answer(answer) = asking.join().unwrap() else { panic!("no answer") };
+    assert_eq!(answer.text, "stopping, at 25 % of the configured speed until the arm is disarmed");
     let asking = bench.asks(Word::Hold);
     bench.answer(Some(RefusalReason::Faulted));
     let Said::Answer(answer) = asking.join().unwrap() else { panic!("no answer") };
@@ -240,6 +244,24 @@ fn words_come_by_hand_too_and_what_is_none_is_told() {
     });
     assert_eq!(bench.answer(None), RequestKind::Stop);
     assert!(by_hand.join().unwrap().contains(r#""accepted":true"#));
+}
+
+#[test]
+fn a_speed_is_a_share_or_per_cent_and_anything_else_is_told_with_what_is_permitted() {
+    for (text, scale) in [("50%", 0.5), ("0.5", 0.5), ("1%", 0.01), (" 100 % ", 1.0), ("1", 1.0), ("12.5%", 0.125)] {
+        assert_eq!(parse_speed(text), Ok(scale), "{text}");
+        assert_eq!(Word::parse(&Word::Speed(scale).line()), Some(Ok(Word::Speed(scale))));
+    }
+    for bad in ["0", "0%", "0.5%", "101%", "1.01", "-0.5", "50", "half", "", "%", "nan", "inf", "1e400", "0.5 0.5"] {
+        let why = parse_speed(bad).unwrap_err();
+        assert!(why.contains(bad) && why.contains("1% to 100%"), "{why}");
+    }
+    let mut bench = Bench::new();
+    for bad in [b"speed 150%\n".as_slice(), b"speed\n", b"speed fast\n", b"speed NaN\n"] {
+        let said = bench.says(bad);
+        assert!(said.contains("refused") && said.contains("expected"), "{said}");
+    }
+    assert!(bench.inputs.next_command().is_none(), "nothing of it reaches the control thread");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Encoder states: newest wins, one source at a time.
 
 use super::{InputLimits, SourceLog, check};
-use crate::ipc::payload::{EncoderSource, Encoders, NO_TICK, RejectCause, SourceHealth, SourceReport};
+use crate::ipc::payload::{EncoderSource, Encoders, RejectCause, SourceHealth, SourceReport};
 
 /// The newest valid encoder state.
 #[derive(Debug, Clone)]
@@ -49,7 +49,7 @@ impl EncoderTable {
                 Ok(())
             }
             Err(cause) => {
-                self.log.reject(cause);
+                self.log.refuse(cause, &message.header);
                 Err(cause)
             }
         }
@@ -104,7 +104,7 @@ impl EncoderTable {
 
     /// Whether the encoders of `tick` or later are here (lockstep).
     pub fn is_ready_for(&self, tick: u64) -> bool {
-        self.log.last.is_some_and(|h| h.tick >= tick && h.tick != NO_TICK)
+        self.log.has_come_for(tick)
     }
 }
 

@@ -193,7 +193,7 @@ impl ObstacleTable {
             }
             Err(cause) => {
                 // `validate` overwrites the standard deviations only after the whole message was found valid.
-                slot.log.reject(cause);
+                slot.log.refuse(cause, &message.header);
                 Err(cause)
             }
         }
@@ -348,7 +348,7 @@ impl ObstacleTable {
     pub fn is_ready_for(&self, tick: u64, sources: &[u32]) -> bool {
         sources.iter().all(|&id| {
             let slot = self.slots.iter().find(|s| s.used && s.log.source_id == id);
-            slot.and_then(|s| s.log.last).is_some_and(|h| h.tick >= tick && h.tick != crate::ipc::payload::NO_TICK)
+            slot.is_some_and(|s| s.log.has_come_for(tick))
         })
     }
 

@@ -1,7 +1,7 @@
 //! One source's clock, sequence and counters.
 
 use super::{InputLimits, elapsed_s};
-use crate::ipc::payload::{Header, REJECT_CAUSES, RejectCause, SCHEMA_VERSION, SourceHealth, SourceReport};
+use crate::ipc::payload::{Header, NO_TICK, REJECT_CAUSES, RejectCause, SCHEMA_VERSION, SourceHealth, SourceReport};
 use sinew_hal::clock::seconds_to_ns;
 
 /// Messages too old on arrival by which it shows that their source lives: several clients of one id may have died.
@@ -24,6 +24,8 @@ pub struct SourceLog {
     pub publisher: u128,
     /// Whether that port, or its process, has been found to be gone. What it said holds on.
     pub gone: bool,
+    /// Tick (lockstep) for which a message came last that was refused.
+    pub refused_for: Option<u64>,
 }
 
 impl SourceLog {
@@ -37,6 +39,7 @@ impl SourceLog {
             refused: false,
             publisher: 0,
             gone: false,
+            refused_for: None,
         }
     }
 
@@ -87,7 +90,23 @@ impl SourceLog {
         self.gone
     }
 
-    /// Counts a rejected message.
+    /// Whether what the source had to say for `tick` or later is here (lockstep). What was refused has come, too: it is not
+    /// said again, and who waited for it would wait for ever.
+    pub fn has_come_for(&self, tick: u64) -> bool {
+        let newest = [self.last.map(|header| header.tick), self.refused_for];
+        newest.into_iter().flatten().any(|came| came >= tick && came != NO_TICK)
+    }
+
+    /// Counts a message of the source that is rejected for what it says.
+    pub fn refuse(&mut self, cause: RejectCause, header: &Header) {
+        // Another that claims to be it has not spoken for it.
+        if cause != RejectCause::TooManySources {
+            self.refused_for = Some(header.tick);
+        }
+        self.reject(cause);
+    }
+
+    /// Counts a rejected message, or entry of one.
     pub fn reject(&mut self, cause: RejectCause) {
         let count = &mut self.rejected[cause.wire() as usize];
         *count += 1;
@@ -98,7 +117,7 @@ impl SourceLog {
 
     /// There is no content any more: the source left, or was forgotten.
     pub fn forget(&mut self) {
-        (self.last, self.refused, self.gone) = (None, false, false);
+        (self.last, self.refused, self.gone, self.refused_for) = (None, false, false, None);
     }
 
     /// Age of the newest content (s); infinite if there is none, 0 if it is from the tolerated future.

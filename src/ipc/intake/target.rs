@@ -2,7 +2,7 @@
 
 use super::encoders::admit;
 use super::{InputLimits, SourceLog, check, elapsed_s};
-use crate::ipc::payload::{MAX_CURVATURES, NO_TICK, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
+use crate::ipc::payload::{MAX_CURVATURES, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use sinew_hal::clock::seconds_to_ns;
 
@@ -89,7 +89,7 @@ impl TargetTrack {
                 self.log.accept(&message.header);
                 self.log.publisher = publisher;
             }
-            Err(cause) => self.log.reject(cause),
+            Err(cause) => self.log.refuse(cause, &message.header),
         }
         checked
     }
@@ -215,7 +215,7 @@ impl TargetTrack {
 
     /// Whether the target of `tick` or later is here (lockstep).
     pub fn is_ready_for(&self, tick: u64) -> bool {
-        self.log.last.is_some_and(|h| h.tick >= tick && h.tick != NO_TICK)
+        self.log.has_come_for(tick)
     }
 }
 

@@ -141,8 +141,17 @@ fn passed_points_make_room_and_a_full_future_is_refused() {
     for k in 0..TRACK_POINTS as u64 {
         accept(&mut track, &point(k, NOW + (k + 1) * SECOND, 0.0, 0.0));
     }
-    let one_more = point(100, NOW + 1000 * SECOND, 0.0, 0.0);
+    let mut one_more = point(100, NOW + 1000 * SECOND, 0.0, 0.0);
+    one_more.header.tick = 7;
+    assert!(!track.is_ready_for(7));
     assert_eq!(track.accept(&one_more, NOW, &limits()), Err(RejectCause::Overfull));
+    // Nobody says it again: a loop in lockstep that waited for it would wait for ever.
+    assert!(track.is_ready_for(7) && !track.is_ready_for(8));
+    one_more.header = Header { source_id: one_more.header.source_id + 1, tick: 9, ..one_more.header };
+    assert!(
+        track.accept(&one_more, NOW, &limits()).is_err() && !track.is_ready_for(8),
+        "nor does another say it for it"
+    );
 }
 
 #[test]

@@ -227,6 +227,8 @@ wire_enum! {
         EmergencyStop = 10, "emergency-stop";
         /// Release it; the fault that it raised stays until it is cleared.
         EmergencyRelease = 11, "emergency-release";
+        /// Scale the speed of the reference by `Request::speed_scale`, until another request or the arm is disarmed.
+        Speed = 12, "speed";
     }
 }
 
@@ -271,5 +273,7 @@ wire_enum! {
         ObstaclesExpired = 12, "a declared obstacle source is absent or expired";
         /// The daemon is shutting down.
         ShuttingDown = 13, "the daemon is shutting down";
+        /// `Request::speed_scale` is not between 0.01 and 1.
+        BadSpeed = 14, "the speed is not between 1 % and 100 %";
     }
 }

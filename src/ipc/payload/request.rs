@@ -6,6 +6,20 @@ use iceoryx2::prelude::ZeroCopySend;
 /// Bytes of [`Response::text`].
 pub const RESPONSE_TEXT: usize = 128;
 
+/// Least share of the configured speed that may be asked for: 0 would be a hold that says nothing.
+pub const SPEED_SCALE_MIN: f64 = 0.01;
+
+/// Whether a share of the configured speed may be asked for.
+pub fn is_speed_scale(scale: f64) -> bool {
+    (SPEED_SCALE_MIN..=1.0).contains(&scale)
+}
+
+/// What an accepted speed means, for people.
+pub fn speed_text(state: SupervisorState, scale: f64) -> String {
+    let until = if scale < 1.0 { " until the arm is disarmed" } else { "" };
+    format!("{}, at {} % of the configured speed{until}", state.text(), (1e4 * scale).round() / 100.0)
+}
+
 /// A request.
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[repr(C)]
@@ -19,6 +33,8 @@ pub struct Request {
     pub reserved: u32,
     /// For [`RequestKind::SetTarget`]; otherwise ignored.
     pub target: Target,
+    /// For [`RequestKind::Speed`]: speed over the configured one, [`SPEED_SCALE_MIN`] to 1; otherwise ignored.
+    pub speed_scale: f64,
 }
 
 impl Request {
@@ -26,11 +42,22 @@ impl Request {
     pub fn new(kind: RequestKind) -> Self {
         Self { kind: kind.wire(), ..Self::default() }
     }
+
+    /// A request for a share of the configured speed.
+    pub fn speed(scale: f64) -> Self {
+        Self { speed_scale: scale, ..Self::new(RequestKind::Speed) }
+    }
 }
 
 impl Default for Request {
     fn default() -> Self {
-        Self { header: Header::default(), kind: RequestKind::Status.wire(), reserved: 0, target: Target::default() }
+        Self {
+            header: Header::default(),
+            kind: RequestKind::Status.wire(),
+            reserved: 0,
+            target: Target::default(),
+            speed_scale: 1.0,
+        }
     }
 }
 

@@ -179,6 +179,18 @@ pub struct State {
     pub limits: u64,
     /// Swing of the tip beside its motion that there may be, peak to peak (m).
     pub swing_m: f64,
+    /// Covariance of the estimated tip position (m^2, base frame), row by row; NaN where nothing was estimated yet.
+    pub tip_covariance_m2: [f64; 9],
+    /// Speed over the configured one that was asked for; 1 after the arm was disarmed.
+    pub speed_scale: f64,
+    /// Distance of the nearest point that the arm reaches from the tip target (m); NaN without one, or while it is looked for.
+    pub reach_miss_m: f64,
+    /// Attitude error there, roll left out (rad); NaN as above.
+    pub reach_miss_rad: f64,
+    /// Load of the cables there, 1 being all that they may pull; NaN as above.
+    pub reach_load: f64,
+    /// The nearest point (m), base frame; NaN as above.
+    pub reach_nearest_m: [f64; 3],
     /// Numbers that the latched fault carries, by code; NaN where there is none.
     pub fault_values: [f64; 2],
     /// Bit 0: another cable of the segment may be the one of the fault.
@@ -240,6 +252,12 @@ impl Default for State {
             timing: TickTiming::default(),
             limits: 0,
             swing_m: 0.0,
+            tip_covariance_m2: [f64::NAN; 9],
+            speed_scale: 1.0,
+            reach_miss_m: f64::NAN,
+            reach_miss_rad: f64::NAN,
+            reach_load: f64::NAN,
+            reach_nearest_m: [f64::NAN; 3],
             fault_values: [f64::NAN; 2],
             fault_flags: 0,
             alarm_count: 0,

@@ -18,7 +18,7 @@ struct Bound {
 }
 
 /// The pairs that bound the last solution, with their multipliers.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Guess {
     bounds: Vec<Bound>,
 }

@@ -44,9 +44,18 @@ pub struct Inputs<'a> {
     pub now: &'a ObstacleSet,
     /// The same obstacles at the end of the lookahead, in the same order.
     pub ahead: &'a ObstacleSet,
-    /// Coordinates q (7N) of a posture that the arm is led to, if it is: no pair is asked for more than it has there. Who
-    /// leads has weighed what is possible, within limits that this planner does not know.
-    pub led_to: Option<&'a [f64]>,
+    /// Where the arm is led to, if it is.
+    pub led_to: Option<LedTo<'a>>,
+}
+
+/// A posture that an arm is led to. No pair is asked for more than it has there: who leads has weighed what is possible, within
+/// limits that the planner does not know.
+#[derive(Debug, Clone, Copy)]
+pub struct LedTo<'a> {
+    /// Coordinates q (7N).
+    pub coordinates: &'a [f64],
+    /// What the position of each element may be off by (m): it is kept farther away by that.
+    pub doubt_m: &'a [f64],
 }
 
 /// Which branch gave the tensions.
@@ -117,7 +126,7 @@ pub struct Report {
 }
 
 /// The combined planner of one arm; everything is made by [`Planner::new`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Planner {
     /// Its arm.
     pub arm: Arm,
@@ -165,7 +174,7 @@ pub struct Planner {
     scratch: Vec<f64>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Frames {
     r: Vec<Vector3<f64>>,
     t: Vec<Vector3<f64>>,
@@ -318,8 +327,9 @@ impl Planner {
         let (mut warning, mut before) = (false, f64::INFINITY);
         let obstacles = self.config.avoidance && !inputs.ahead.is_empty();
         self.arm.frames_into(&inputs.state.q, &mut self.frames_now.r, &mut self.frames_now.t);
-        if let Some(q) = inputs.led_to {
-            self.arm.frames_into(q, &mut self.frames_led.r, &mut self.frames_led.t);
+        if let Some(led) = inputs.led_to {
+            self.arm.frames_into(led.coordinates, &mut self.frames_led.r, &mut self.frames_led.t);
+            self.body.set_doubt(led.doubt_m);
         }
         // Where the last tensions are unknown there is nothing to plan a change from.
         if inputs.u_previous.iter().any(|u| u.is_nan()) {

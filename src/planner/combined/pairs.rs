@@ -26,7 +26,7 @@ const UNREACHED_M: f64 = 1e-9;
 const STILL_SHARE: f64 = 1e-6;
 
 /// What is known of the pairs within reach of an iterate; per row of `rows` where nothing else is said.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct PairBuffers {
     pub(super) rows: Vec<Proximity>,
     pub(super) required: Vec<f64>,
