@@ -593,7 +593,8 @@ fn coming_and_leaving(t: &mut Trial) {
 
 fn unknown_requests(t: &mut Trial) {
     let mut client = t.place.client();
-    for kind in [0, 10, 77, u32::MAX] {
+    let beyond = RequestKind::ALL.iter().map(|kind| kind.wire()).max().unwrap() + 1;
+    for kind in [0, beyond, 77, u32::MAX] {
         let request = Request { kind, ..Request::new(RequestKind::Status) };
         assert!(!client.request(request, Duration::from_secs(5)).unwrap().is_accepted());
     }
