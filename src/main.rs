@@ -17,7 +17,8 @@ fn main() -> ExitCode {
                 return cli::Outcome::Unusable.into();
             }
         },
-        _ => tracing_subscriber::EnvFilter::new("warn"),
+        // Of iceoryx2 nothing: its lines are pages of internals, and what matters comes as an error of sinew's own.
+        _ => tracing_subscriber::EnvFilter::new("warn,iceoryx2_bb_loggers=off"),
     };
     tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -283,6 +283,24 @@ fn what_the_environment_says_wrongly_is_told() {
 }
 
 #[test]
+fn a_terminal_without_a_width_gets_whole_words() {
+    let check = ["check", "--config", &shipped("arm"), &shipped("controller"), &shipped("drives")];
+    let (_directory, bad) = file("bad.toml", "[arm]\nfoo = 1\n");
+    for (arguments, whole) in [(&check[..], "shared memory"), (&["check", "--config", &bad], "unknown key")] {
+        let words: Vec<String> = arguments.iter().map(|word| format!("'{word}'")).collect();
+        let script = format!("stty cols 0 rows 0; {} {}", env!("CARGO_BIN_EXE_sinew"), words.join(" "));
+        let Ok(output) = Command::new("script").args(["-qec", &script, "/dev/null"]).stdin(Stdio::null()).output()
+        else {
+            return eprintln!("not tested: there is no `script`");
+        };
+        let said = text(&output.stdout);
+        assert!(said.contains(whole), "{said}");
+        let lines = said.lines().count();
+        assert!(lines < 80, "{lines} lines");
+    }
+}
+
+#[test]
 fn twenty_thousand_mistakes_are_counted_and_not_all_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("many.toml");

@@ -160,6 +160,28 @@ fn the_true_tip_follows_a_moving_target_through_encoders_and_observer() {
 }
 
 #[test]
+fn before_the_first_arming_the_record_shows_the_arm_where_it_is() {
+    let mut world = World::new();
+    let straight = world.true_tip();
+    let mut pulls = vec![5.0; 24];
+    (pulls[0], pulls[6]) = (60.0, 60.0);
+    // Somebody else bends it, lets go, and it swings.
+    world.truth.update(&pulls, &[], 400).unwrap();
+    let mut farthest = 0.0f64;
+    for tick in 0..100 {
+        world.step(None);
+        let truly = world.true_tip();
+        farthest = farthest.max((truly - straight).norm());
+        let shown = nalgebra::Vector3::from(world.cycle.record_mut().tip_position_m);
+        if tick > 10 {
+            assert!((shown - truly).norm() < 0.1 * farthest, "tick {tick}: {shown} for {truly}");
+        }
+    }
+    assert_eq!(world.cycle.mode(), Mode::Disarmed);
+    assert!(farthest > 0.2, "it was bent by {farthest} m");
+}
+
+#[test]
 fn a_silent_encoder_in_motion_ends_in_a_fault_and_safe_tensions() {
     let mut world = World::new();
     world.arm();

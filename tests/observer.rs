@@ -245,6 +245,38 @@ fn a_start_reproduces_the_measured_bend_angles_and_is_an_equilibrium() {
 }
 
 #[test]
+fn a_look_shows_the_arm_that_the_lengths_show_and_leaves_a_start_as_it_is() {
+    let config = ArmConfig::paper();
+    let mut observer = Observer::new(&config, &settings(), PERIOD);
+    let arm = observer.arm().clone();
+    for scale in [0.5, -0.3] {
+        let curvatures: Vec<f64> = (0..2 * arm.segment_count()).map(|i| scale * (1.7 * i as f64).sin()).collect();
+        let truth = arm.bent(&curvatures);
+        let measured = lengths(&arm, &truth);
+        assert_no_alloc(|| (0..6).for_each(|_| assert!(observer.look(&measured))));
+        let off = truth.iter().zip(&observer.state().q).fold(0.0f64, |a, (t, q)| a.max((t - q).abs()));
+        assert!(off < 1e-6, "{off}");
+        let mut broken = measured.clone();
+        broken[7] = f64::NAN;
+        assert!(!observer.look(&broken), "nothing is known");
+        assert_eq!(lengths(&arm, &observer.state().q).len(), measured.len());
+    }
+    // Lengths of no arm do not carry it away for good.
+    let absurd: Vec<f64> = (0..arm.cable_count()).map(|c| 10.0 * (c as f64).sin()).collect();
+    for _ in 0..20 {
+        observer.look(&absurd);
+    }
+    assert!(observer.state().q.iter().all(|q| q.is_finite()));
+    let u = tensions(&arm);
+    let measured = lengths(&arm, &rest(&arm, &u).q);
+    let mut fresh = Observer::new(&config, &settings(), PERIOD);
+    for observer in [&mut observer, &mut fresh] {
+        observer.start(&measured, &u).unwrap();
+    }
+    assert_eq!(observer.state().q, fresh.state().q, "bit by bit");
+}
+
+#[test]
 fn at_rest_the_mean_curvatures_become_exact_after_a_wrong_start() {
     let config = ArmConfig::paper();
     let mut observer = Observer::new(&config, &settings(), PERIOD);

@@ -42,7 +42,16 @@ fn target() -> Target {
 }
 
 fn event() -> Event {
-    Event { time_ns: 3 * TICK_NS, tick: 3, code: 9, detail: 2, value: 0.5, text: "source expired" }
+    Event {
+        time_ns: 3 * TICK_NS,
+        tick: 3,
+        code: 9,
+        detail: 2,
+        flags: 0,
+        value: 0.5,
+        second: 0.0,
+        text: "source expired",
+    }
 }
 
 fn write(path: &Path, ticks: u64) {

@@ -50,7 +50,7 @@ fn a_drive_that_pulls_more_than_it_is_told_stops_the_arm_and_is_named() {
     let (_plant, _daemon) = holding(&place, &["pull:7:60@3"]);
     let fault = faulted(&place);
     assert_eq!((fault.code, fault.detail), (14, 6), "{fault:?}");
-    assert!(fault.what.contains("(cable 6)") && fault.clears.contains("6072"), "{fault:?}");
+    assert!(fault.what.contains("the drive of cable 2,1 ") && fault.clears.contains("6072"), "{fault:?}");
 }
 
 #[test]

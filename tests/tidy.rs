@@ -200,8 +200,8 @@ fn documented() -> Vec<(&'static str, &'static [&'static TableSpec])> {
 /// Replaces what stands between a part's two marks.
 fn with_part(page: &str, part: &str, content: &str) -> String {
     let (begin, end) = (format!("<!-- begin {part} -->\n"), format!("<!-- end {part} -->"));
-    let (before, rest) = page.split_once(&begin).unwrap_or_else(|| panic!("config/README.md lacks {begin}"));
-    let (_, after) = rest.split_once(&end).unwrap_or_else(|| panic!("config/README.md lacks {end}"));
+    let (before, rest) = page.split_once(&begin).unwrap_or_else(|| panic!("the page lacks {begin}"));
+    let (_, after) = rest.split_once(&end).unwrap_or_else(|| panic!("the page lacks {end}"));
     format!("{before}{begin}\n{content}{end}{after}")
 }
 
@@ -223,6 +223,39 @@ fn config_readme_documents_every_key_as_the_reader_has_it() {
         assert_eq!(found, wanted, "config/README.md:{}: differs from the registry", number + 1);
     }
     assert_eq!(page.lines().count(), expected.lines().count(), "config/README.md differs from the registry in length");
+}
+
+/// The same of the codes of faults, limits and alarms.
+#[test]
+fn the_codes_are_documented_as_the_program_has_them() {
+    use sinew::control::{Class, Fault, Limit};
+    use sinew::ipc::payload::AlarmCode;
+    let path = root().join("docs/CODES.md");
+    let page = fs::read_to_string(&path).unwrap();
+    let mut faults = String::from("| code | class | what happened | what clears it |\n|---|---|---|---|\n");
+    for fault in Fault::EXAMPLES {
+        let class = match fault.class() {
+            Class::Drives => "drives and buses",
+            Class::Cables => "encoders and cables",
+            Class::Estimate => "estimate",
+            Class::Plan => "plan",
+            Class::Time => "deadlines",
+            Class::Motion => "motion",
+        };
+        faults += &format!("| {} | {class} | {} | {} |\n", fault.code(), fault.what(), fault.remedy());
+    }
+    let mut limits = String::from("| code | what acts |\n|---|---|\n");
+    Limit::ALL.iter().for_each(|limit| limits += &format!("| {} | {} |\n", limit.code(), limit.text()));
+    let mut alarms = String::from("| code | what is wrong |\n|---|---|\n");
+    AlarmCode::ALL.iter().for_each(|alarm| alarms += &format!("| {} | {} |\n", alarm.wire(), alarm.text()));
+    let mut expected = page.clone();
+    for (part, content) in [("faults", faults), ("limits", limits), ("alarms", alarms)] {
+        expected = with_part(&expected, part, &content);
+    }
+    if std::env::var_os("SINEW_WRITE_REFERENCE").is_some() {
+        return fs::write(&path, &expected).unwrap();
+    }
+    assert_eq!(page, expected, "docs/CODES.md differs from the program");
 }
 
 #[test]

@@ -12,6 +12,11 @@ use rustix::io::Errno;
 use rustix::thread::ClockId;
 use rustix::time::Timespec;
 
+/// A time in nanoseconds, to the nearest; 0 for what is negative or no number.
+pub fn seconds_to_ns(seconds: f64) -> u64 {
+    (1e9 * seconds).round() as u64
+}
+
 /// CLOCK_MONOTONIC now (ns). Does not allocate; about 25 ns through the vDSO.
 pub fn monotonic_ns() -> u64 {
     read(libc::CLOCK_MONOTONIC)

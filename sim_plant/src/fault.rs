@@ -5,6 +5,7 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew::config::{CableName, CableNames};
 use std::str::FromStr;
 
 /// What breaks.
@@ -31,8 +32,10 @@ pub enum FaultKind {
 /// Which cable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Which {
-    /// Index of the cable over the whole arm, from 1, as the drives are counted.
-    Cable(usize),
+    /// By its name.
+    Cable(CableName),
+    /// By its number over the whole arm, from 1.
+    Number(usize),
     /// Drawn from the seed.
     Any,
 }
@@ -60,7 +63,7 @@ impl FromStr for FaultSpec {
     fn from_str(text: &str) -> Result<Self, String> {
         let usage = || {
             format!(
-                "`{text}`: expected stick|jump|silence|trip|dead|reboot|press:CABLE[@SECONDS], jump:CABLE[:METRES][@SECONDS] or pull:CABLE[:NEWTONS][@SECONDS], e.g. stick:7@12.5 or jump:any:0.03@4"
+                "`{text}`: expected stick|jump|silence|trip|dead|reboot|press:CABLE[@SECONDS], jump:CABLE[:METRES][@SECONDS] or pull:CABLE[:NEWTONS][@SECONDS], CABLE as SEGMENT,NUMBER, e.g. stick:2,1@12.5 or jump:any:0.03@4"
             )
         };
         let (what, at) = text.split_once('@').unwrap_or((text, "0"));
@@ -98,8 +101,8 @@ impl FromStr for FaultSpec {
         let which = match cable {
             Some("any") => Which::Any,
             Some(number) => match number.parse() {
-                Ok(n) if n >= 1 => Which::Cable(n),
-                _ => return Err(usage()),
+                Ok(n) if n >= 1 => Which::Number(n),
+                _ => Which::Cable(number.parse().map_err(|_| usage())?),
             },
             None => return Err(usage()),
         };
@@ -119,14 +122,15 @@ impl Schedule {
     ///
     /// # Errors
     /// A cable that the arm has not.
-    pub fn new(specs: &[FaultSpec], cables: usize, seed: u64) -> Result<Self, String> {
+    pub fn new(specs: &[FaultSpec], names: &CableNames, seed: u64) -> Result<Self, String> {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut waiting = Vec::with_capacity(specs.len());
         for spec in specs {
             let cable = match spec.which {
-                Which::Any => rng.random_range(0..cables),
-                Which::Cable(n) if n <= cables => n - 1,
-                Which::Cable(n) => return Err(format!("a fault of cable {n}: the arm has cables 1 to {cables}")),
+                Which::Any => rng.random_range(0..names.count()),
+                Which::Cable(name) => names.find(name).ok_or_else(|| format!("the arm has no cable {name}"))?,
+                Which::Number(n) if n <= names.count() => n - 1,
+                Which::Number(n) => return Err(format!("the arm has no cable {n}: it has {}", names.count())),
             };
             waiting.push((spec.at_s, cable, spec.kind));
         }
@@ -154,7 +158,9 @@ mod tests {
     #[test]
     fn a_fault_is_read_as_it_is_written() {
         let spec = |text: &str| text.parse::<FaultSpec>().unwrap();
-        assert_eq!(spec("stick:7@12.5"), FaultSpec { kind: FaultKind::Stick, which: Which::Cable(7), at_s: 12.5 });
+        let name = "2,1".parse().unwrap();
+        assert_eq!(spec("stick:2,1@12.5"), FaultSpec { kind: FaultKind::Stick, which: Which::Cable(name), at_s: 12.5 });
+        assert_eq!(spec("stick:7").which, Which::Number(7));
         assert_eq!(spec("jump:any:-0.03"), FaultSpec { kind: FaultKind::Jump(-0.03), which: Which::Any, at_s: 0.0 });
         assert_eq!(spec("dead:24@1").kind, FaultKind::Dead);
         assert_eq!(spec("reboot:2@1").kind, FaultKind::Reboot);
@@ -178,14 +184,14 @@ mod tests {
             "press:1:2",
         ] {
             let refusal = text.parse::<FaultSpec>().unwrap_err();
-            assert!(refusal.contains("stick:7@12.5"), "{refusal}");
+            assert!(refusal.contains("stick:2,1@12.5"), "{refusal}");
         }
     }
 
     #[test]
     fn faults_come_in_the_order_of_their_times_and_once() {
-        let specs: Vec<FaultSpec> = ["stick:3@2", "jump:1@1", "trip:2@2"].map(|t| t.parse().unwrap()).into();
-        let mut schedule = Schedule::new(&specs, 24, 1).unwrap();
+        let specs: Vec<FaultSpec> = ["stick:1,3@2", "jump:1,1@1", "trip:2@2"].map(|t| t.parse().unwrap()).into();
+        let mut schedule = Schedule::new(&specs, &CableNames::new([6; 4]), 1).unwrap();
         assert_eq!(schedule.due(0.5), None);
         assert_eq!(schedule.due(1.0), Some((0, FaultKind::Jump(JUMP_M))));
         assert_eq!(schedule.due(1.0), None);
@@ -198,12 +204,15 @@ mod tests {
     fn a_cable_left_to_chance_is_the_same_for_a_seed_and_exists() {
         let specs = vec!["stick:any@0".parse().unwrap(); 50];
         let draw = |seed| {
-            let mut schedule = Schedule::new(&specs, 6, seed).unwrap();
+            let mut schedule = Schedule::new(&specs, &CableNames::new([6]), seed).unwrap();
             std::iter::from_fn(|| schedule.due(0.0)).map(|f| f.0).collect::<Vec<_>>()
         };
         assert_eq!(draw(4), draw(4));
         assert_ne!(draw(4), draw(5));
         assert!(draw(4).iter().all(|&c| c < 6));
-        assert!(Schedule::new(&["stick:7".parse().unwrap()], 6, 1).unwrap_err().contains("cables 1 to 6"));
+        for absent in ["stick:7", "stick:1,7", "stick:2,1"] {
+            let specs = [absent.parse().unwrap()];
+            assert!(Schedule::new(&specs, &CableNames::new([6]), 1).unwrap_err().contains("the arm has no cable"));
+        }
     }
 }

@@ -45,7 +45,7 @@ struct Arguments {
     #[arg(long, value_name = "N", num_args = 1.., value_delimiter = ',')]
     start_tensions: Option<Vec<f64>>,
     /// Break something: stick|jump|silence|trip|dead|reboot|pull|press:CABLE[:METRES or NEWTONS][@SECONDS since the first
-    /// drive was enabled]; CABLE is counted from 1 over the whole arm, or `any`.
+    /// drive was enabled]; CABLE is SEGMENT,NUMBER, both from 1 (2,1), or its number over the whole arm from 1, or `any`.
     #[arg(long, value_name = "FAULT")]
     fault: Vec<FaultSpec>,
     /// Let frames between controller and drives go wrong, with chances from the seed:
@@ -61,11 +61,16 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    let text = std::env::var("SINEW_LOG").ok().filter(|text| !text.is_empty()).unwrap_or_else(|| "warn".into());
+    let filter = match text.parse::<tracing_subscriber::EnvFilter>() {
+        Ok(filter) => filter,
+        Err(error) => {
+            eprintln!("sim_plant: SINEW_LOG={text}: {error}; expected e.g. info or sim_plant=debug");
+            return ExitCode::from(2);
+        }
+    };
     tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_env("SINEW_LOG")
-                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
-        )
+        .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
@@ -120,7 +125,7 @@ fn prepare(arguments: &Arguments, stop: &Arc<AtomicBool>) -> miette::Result<(Ser
         Pace::Realtime => (config.timing.period_s / plant.truth.step_s).round().max(1.0) as usize,
     };
     let rig = Rig::new(&config, &plant, &start, plant.truth.latency_ticks * steps_per_tick).into_diagnostic()?;
-    let schedule = Schedule::new(&arguments.fault, config.arm.cable_count(), plant.truth.seed)
+    let schedule = Schedule::new(&arguments.fault, &config.arm.cable_names(), plant.truth.seed)
         .map_err(|refusal| miette::miette!("{refusal}"))?;
     let trace = match &arguments.trace {
         Some(path) => {

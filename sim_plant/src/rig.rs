@@ -19,7 +19,6 @@ use crate::fault::FaultKind;
 use crate::truth::{Truth, TruthSettings};
 use sinew::config::{ArmConfig, Config};
 use sinew::integrator::{StaticsError, StepError};
-use sinew::model::Arm;
 use sinew_hal::motor_bank::{ChannelError, MotorBank, MotorChannel, Sense};
 
 /// Time (s) after which the brake of an enabled drive opens although the drive does not carry the cable.
@@ -106,35 +105,7 @@ pub struct Rig {
 /// # Errors
 /// A drive that cannot carry its cable.
 pub fn channels(config: &Config) -> Result<MotorBank, ChannelError> {
-    let arm = Arm::new(&config.arm);
-    let mut straight = vec![0.0; arm.cable_count()];
-    arm.cable_lengths_into(&arm.straight(), &mut straight);
-    MotorBank::new(
-        config
-            .drives
-            .drives
-            .iter()
-            .zip(straight)
-            .zip(config.arm.tension_maxima_n())
-            .map(|((drive, home_length_m), tension_n_max)| {
-                let channel = MotorChannel {
-                    drum_radius_m: drive.drum_radius_m,
-                    gear_ratio: drive.gear_ratio,
-                    sense: if drive.sign < 0 { Sense::Reverse } else { Sense::Forward },
-                    rated_torque_nm: drive.rated_torque_nm,
-                    counts_per_turn: f64::from(drive.counts_per_turn),
-                    tension_n_min: config.arm.tension_n_min,
-                    tension_n_max,
-                    home_counts: 0,
-                    home_length_m,
-                    // From all of it pulled in to as much again paid out.
-                    travel_m: home_length_m,
-                };
-                // The configuration limits it to ten times the rated torque.
-                (channel, (1000.0 * drive.torque_nm_max / drive.rated_torque_nm).round() as u16)
-            })
-            .collect(),
-    )
+    sinew::daemon::motor_channels(config)
 }
 
 impl Rig {

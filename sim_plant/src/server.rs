@@ -35,6 +35,7 @@ use sinew_hal::canopen::cob::{NodeIdError, SYNC, time_frame};
 use sinew_hal::canopen::emcy::{code, register};
 use sinew_hal::canopen::{Message, NodeId};
 use sinew_hal::cia402::state::State;
+use sinew_hal::clock::seconds_to_ns;
 use sinew_hal::clock::{Clock, Lockstep, Monotonic, Naps, monotonic_ns};
 use sinew_hal::fault_shim::FaultShim;
 use sinew_hal::realtime;
@@ -315,7 +316,7 @@ impl Server {
             // One period at a time, so that a SYNC that comes after all is served between two of them.
             let silence_ns = monotonic_ns().saturating_sub(heard_ns);
             if silence_ns > SILENCE.as_nanos() as u64 && !self.controller_lives() {
-                heard_ns += (self.period_s * 1e9) as u64;
+                heard_ns += seconds_to_ns(self.period_s);
                 self.period()?;
             }
         }
@@ -418,7 +419,7 @@ impl Server {
     fn period(&mut self) -> Result<(), ServerError> {
         self.break_what_is_due();
         self.advance(self.period_s)?;
-        self.now_ns += (self.period_s * 1e9).round() as u64;
+        self.now_ns += seconds_to_ns(self.period_s);
         self.clock.advance_to(self.now_ns);
         self.disturb_wires();
         self.give_feedback(0.0);
@@ -473,7 +474,7 @@ impl Server {
     }
 
     fn step_ns(&self) -> u64 {
-        (self.step_s * 1e9).round() as u64
+        seconds_to_ns(self.step_s)
     }
 
     /// Real time: the steps that are due at a time; the time reached.

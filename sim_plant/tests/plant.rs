@@ -373,8 +373,8 @@ fn what_cannot_be_run_is_refused_with_code_2() {
         let text = String::from_utf8_lossy(&output.stderr);
         assert!(text.contains(part), "{part} is not in {text}");
     };
-    refused(&["--fault", "melt:1"], "stick:7@12.5");
-    refused(&["--fault", "stick:25"], "cables 1 to 24");
+    refused(&["--fault", "melt:1"], "stick:2,1@12.5");
+    refused(&["--fault", "stick:25"], "the arm has no cable 25: it has 24");
     refused(&["--start-tensions", "1,2"], "2 start tensions for 24 cables");
     refused(&["--start-scenario", "nowhere"], "built-in scenarios");
     refused(&["--trace", "/dev/full"], "No space left");

@@ -6,6 +6,7 @@ use miette::{IntoDiagnostic, WrapErr};
 use rustix::process::{Gid, Uid, geteuid};
 use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 use sinew::config::Config;
+use sinew::control::Fault;
 use sinew::daemon;
 use sinew::daemon::operator::Address;
 use sinew::ipc::payload::{RefusalReason, Response};
@@ -34,10 +35,20 @@ impl Which {
     pub(crate) fn find(&self) -> miette::Result<Found> {
         if self.config.is_empty() {
             let (domain, arm) = (Domain::from_env(), self.arm.clone());
+            domain.check().into_diagnostic()?;
             return Ok(Found { address: Address::new(&domain, &arm, None), domain, arm });
         }
         let config = Config::load(&self.config)?;
+        daemon::domain(&config).check().into_diagnostic()?;
         Ok(Found { address: daemon::address(&config), domain: daemon::domain(&config), arm: config.ipc.arm })
+    }
+
+    /// The daemon, where its shared memory is another user's and this one is not root: then all goes over the socket.
+    pub(crate) fn foreign(&self) -> miette::Result<Option<Found>> {
+        let found = self.find()?;
+        let uid = geteuid();
+        let owner = if uid.is_root() { None } else { found.address.owner() };
+        Ok(owner.filter(|owner| *owner != uid.as_raw()).map(|_| found))
     }
 
     /// Connects to the daemon's shared memory, which belongs to its user alone: root becomes that user first, for what
@@ -94,8 +105,8 @@ pub(crate) fn say(asked: &str, response: &Response) -> miette::Result<Outcome> {
         Some(reason) => daemon::refusal_text(reason, response.detail),
     };
     complain(format_args!("{asked} refused: {why}"));
-    if let Some(fault) = daemon::status::fault_status(response.fault_code, response.fault_detail, None) {
-        complain(format_args!("fault {}: {}; {}", fault.code, fault.what, fault.clears));
+    if let Some(fault) = Fault::EXAMPLES.iter().find(|fault| fault.code() == response.fault_code) {
+        complain(format_args!("fault {}: {}; {}", fault.code(), fault.what(), fault.remedy()));
     }
     Ok(Outcome::Failed)
 }

@@ -8,6 +8,7 @@
 mod children;
 mod judge;
 mod setup;
+mod wire;
 
 use super::scenario_client::approach_s;
 use super::{Outcome, complain, print_json, print_text};

@@ -53,7 +53,9 @@ impl Queue {
     /// No thread can be started.
     pub(crate) fn start() -> io::Result<Self> {
         // The library panics where it gets none.
-        std::thread::Builder::new().spawn(|| {})?;
+        let tried = std::thread::Builder::new().spawn(|| {})?;
+        // Its place is free again only when it has ended.
+        let _ = tried.join();
         let queue = Self::before(io::stderr(), LINES);
         // A second one would not be heard of; the first stays.
         let _ = QUEUE.set(queue.lines.clone());

@@ -18,7 +18,7 @@ mod status;
 use clap::{Parser, Subcommand};
 use miette::{IntoDiagnostic, WrapErr};
 use serde::Serialize;
-use sinew::ipc::payload::RequestKind;
+use sinew::daemon::operator::Word;
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
@@ -137,14 +137,14 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::Leash(leash) => leash.run(),
         Command::Run(run) => run.run(),
         Command::Status(status) => status.run(),
-        Command::Arm(ask) => ask.run(RequestKind::Arm),
-        Command::Disarm(ask) => ask.run(RequestKind::Disarm),
-        Command::Hold(ask) => ask.run(RequestKind::Hold),
-        Command::Track(ask) => ask.run(RequestKind::Track),
-        Command::Stop(ask) => ask.run(RequestKind::Stop),
+        Command::Arm(ask) => ask.run(Word::Arm),
+        Command::Disarm(ask) => ask.run(Word::Disarm),
+        Command::Hold(ask) => ask.run(Word::Hold),
+        Command::Track(ask) => ask.run(Word::Track),
+        Command::Stop(ask) => ask.run(Word::Stop),
         Command::EmergencyStop(stop) => stop.run(),
-        Command::Clear(ask) => ask.run(RequestKind::Clear),
-        Command::Home(ask) => ask.run(RequestKind::Home),
+        Command::Clear(ask) => ask.run(Word::Clear),
+        Command::Home(ask) => ask.run(Word::Home),
         Command::Speed(speed) => speed.run(),
         Command::Target(target) => target.run(),
         Command::Obstacles(obstacles) => obstacles.run(),

@@ -1,10 +1,12 @@
 //! `sinew obstacles`: inject one by hand, or list what the loop knows.
 
-use super::client::{Which, loop_time_ns, not_connected, numbers};
+use super::client::{ANSWER, Found, Which, loop_time_ns, not_connected, numbers};
 use super::{Outcome, complain, print_text};
 use clap::{Args, Subcommand};
 use comfy_table::Table;
 use miette::IntoDiagnostic;
+use sinew::daemon::operator::OperatorError;
+use sinew::daemon::status::{DistanceStatus, ask};
 use sinew::ipc::payload::{
     FLAG_LEAVING, NO_TICK, Obstacle, Obstacles, REJECT_CAUSES, RejectCause, SourceHealth, State,
 };
@@ -80,6 +82,13 @@ impl Inject {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
         }
+        if let Some(found) = self.which.foreign()? {
+            return Ok(match self.publish_over_socket(&found, obstacle, &stop) {
+                Ok(None) => Outcome::Done,
+                Ok(Some(why)) => self.refused(&why),
+                Err(error) => not_connected(&error),
+            });
+        }
         let client = match self.which.connect()? {
             Ok(client) => client,
             Err(error) => return Ok(not_connected(&error)),
@@ -87,12 +96,57 @@ impl Inject {
         let begun_ns = loop_time_ns(&client)?;
         match self.publish(&client, obstacle, begun_ns, &stop) {
             Ok(None) => Ok(Outcome::Done),
-            Ok(Some(why)) => {
-                complain(format_args!("sinew obstacles inject: source {}: refused: {why}", self.source));
-                Ok(Outcome::Failed)
-            }
+            Ok(Some(why)) => Ok(self.refused(&why)),
             Err(error) => Ok(not_connected(&error)),
         }
+    }
+
+    fn refused(&self, why: &str) -> Outcome {
+        complain(format_args!("sinew obstacles inject: source {}: refused: {why}", self.source));
+        Outcome::Failed
+    }
+
+    fn is_over(&self, begun: Instant, stop: &AtomicBool) -> bool {
+        stop.load(Ordering::Relaxed) || self.duration.is_some_and(|d| begun.elapsed().as_secs_f64() >= d)
+    }
+
+    /// The same as [`Self::publish`], for those who have no part in the daemon's shared memory.
+    fn publish_over_socket(
+        &self,
+        found: &Found,
+        obstacle: Option<Obstacle>,
+        stop: &AtomicBool,
+    ) -> Result<Option<String>, OperatorError> {
+        let mut publisher = found.address.publisher(self.source, ANSWER)?;
+        let begun = Instant::now();
+        let mut set = Obstacles::default();
+        // The daemon has the time.
+        set.header.capture_ns = 0;
+        let mut taken = false;
+        while !self.is_over(begun, stop) {
+            set.count = 0;
+            if let Some(mut o) = obstacle {
+                (0..3).for_each(|i| o.position_m[i] += o.velocity_mps[i] * begun.elapsed().as_secs_f64());
+                let _ = set.push(o); // one of 64 places
+            }
+            // Whoever was refused may have been hung up on; what was said is there still.
+            let sent = publisher.publish(&set);
+            std::thread::sleep(INTERVAL);
+            match publisher.heard()? {
+                Some(Err(why)) => return Ok(Some(why)),
+                Some(Ok(())) if !taken => {
+                    taken = true;
+                    complain(format_args!("sinew: obstacles of source {} are taken", self.source));
+                }
+                _ => {}
+            }
+            sent?;
+        }
+        set.count = 0;
+        set.flags = FLAG_LEAVING;
+        publisher.publish(&set)?;
+        std::thread::sleep(Duration::from_millis(50));
+        Ok((!taken).then(|| "the loop took none of it within this time".into()))
     }
 
     fn obstacle(&self) -> Result<Option<Obstacle>, String> {
@@ -128,7 +182,7 @@ impl Inject {
         let (mut now_ns, mut tick) = (begun_ns, NO_TICK);
         let mut set = Obstacles::default();
         let mut fate = Fate::new(self.source);
-        while !stop.load(Ordering::Relaxed) && self.duration.is_none_or(|d| begun.elapsed().as_secs_f64() < d) {
+        while !self.is_over(begun, stop) {
             // In the loop's own time, which in lockstep is not the clock's.
             if let Some(state) = states.wait(INTERVAL)? {
                 (now_ns, tick) = (state.header.capture_ns, state.header.tick);
@@ -220,6 +274,13 @@ impl Fate {
 
 impl List {
     fn run(self) -> miette::Result<Outcome> {
+        if let Some(found) = self.which.foreign()? {
+            let no_daemon = || OperatorError::NoDaemon(IpcError::NoDaemon { arm: found.arm.clone() });
+            return match ask(&found.address).and_then(|report| report.ok_or_else(no_daemon)) {
+                Ok(report) => self.print(report.ticks.saturating_sub(1), &report.distances),
+                Err(error) => Ok(not_connected(&error)),
+            };
+        }
         let client = match self.which.connect()? {
             Ok(client) => client,
             Err(error) => return Ok(not_connected(&error)),
@@ -228,41 +289,26 @@ impl List {
             complain("sinew: the daemon runs, but its loop sent no record within 2 s");
             return Ok(Outcome::Failed);
         };
+        self.print(state.header.tick, &DistanceStatus::of(&state))
+    }
+
+    fn print(&self, tick: u64, distances: &[DistanceStatus]) -> miette::Result<Outcome> {
         if self.json {
-            print_json(&state)?;
-        } else {
-            print_table(&state)?;
+            let text = serde_json::to_string(&serde_json::json!({ "tick": tick, "obstacles": distances }));
+            print_text(&format!("{}\n", text.into_diagnostic()?))?;
+            return Ok(Outcome::Done);
         }
+        let mut table = Table::new();
+        table.set_header(["source", "id", "distance (mm)", "grown by (mm)"]);
+        for d in distances {
+            table.add_row([
+                d.source.to_string(),
+                d.id.to_string(),
+                format!("{:.1}", 1e3 * d.surface_distance_m),
+                format!("{:.1}", 1e3 * d.growth_m),
+            ]);
+        }
+        print_text(&format!("{table}\n{}", if distances.is_empty() { "no obstacles\n" } else { "" }))?;
         Ok(Outcome::Done)
     }
-}
-
-fn print_json(state: &State) -> miette::Result<()> {
-    let rows: Vec<_> = state.distances[..state.distance_count as usize]
-        .iter()
-        .map(|d| {
-            serde_json::json!({
-                "source": d.source_id,
-                "id": d.obstacle_id,
-                "surface_distance_m": d.surface_distance_m,
-                "growth_m": d.growth_m,
-            })
-        })
-        .collect();
-    let text = serde_json::to_string(&serde_json::json!({ "tick": state.header.tick, "obstacles": rows }));
-    print_text(&format!("{}\n", text.into_diagnostic()?))
-}
-
-fn print_table(state: &State) -> miette::Result<()> {
-    let mut table = Table::new();
-    table.set_header(["source", "id", "distance (mm)", "grown by (mm)"]);
-    for d in &state.distances[..state.distance_count as usize] {
-        table.add_row([
-            d.source_id.to_string(),
-            d.obstacle_id.to_string(),
-            format!("{:.1}", 1e3 * d.surface_distance_m),
-            format!("{:.1}", 1e3 * d.growth_m),
-        ]);
-    }
-    print_text(&format!("{table}\n{}", if state.distance_count == 0 { "no obstacles\n" } else { "" }))
 }

@@ -1,13 +1,13 @@
 //! `sinew plan`.
 
 use super::record::PlanRecording;
-use super::{Outcome, print_json, print_text, progress_bar};
+use super::{Outcome, complain, print_json, print_text, progress_bar};
 use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, WrapErr, bail, miette};
 use sinew::config::{BodyModel, ScenarioConfig, WarningBranch};
 use sinew::recording::RecordingError;
 use sinew::report::{figures_table, summary_table};
-use sinew::scenario::{Run, sweep, sweep_table};
+use sinew::scenario::{Run, RunError, sweep, sweep_table};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -101,6 +101,7 @@ impl Plan {
             bar.inc(1);
         }
         bar.finish_and_clear();
+        failed.iter().for_each(|error| complain(ended(&self.scenario, error)));
         if let Some(recording) = recording {
             recording.finish().map_err(unrecorded)?;
         }
@@ -125,13 +126,18 @@ impl Plan {
         }
         let bar = progress_bar(0, &scenario.name);
         let begin = Instant::now();
-        let rows = sweep(scenario, seed, &mut || begin.elapsed().as_nanos() as u64, &mut |index, step, steps| {
+        let swept = sweep(scenario, seed, &mut || begin.elapsed().as_nanos() as u64, &mut |index, step, steps| {
             bar.set_length(steps * scenario.sweep.len() as u64);
             bar.set_position(index as u64 * steps + step);
-        })
-        .into_diagnostic()
-        .wrap_err_with(|| self.scenario.clone())?;
+        });
         bar.finish_and_clear();
+        let rows = match swept {
+            Err(error @ RunError::Diverged(_)) => {
+                complain(ended(&self.scenario, &error));
+                return Ok(Outcome::Failed);
+            }
+            rows => rows.into_diagnostic().wrap_err_with(|| self.scenario.clone())?,
+        };
         if self.json {
             print_json(&serde_json::json!({ "scenario": scenario.name, "seed": seed, "runs": rows }))?;
         } else {
@@ -145,6 +151,11 @@ impl Plan {
     }
 }
 
+/// Which scenario ended early, and why.
+fn ended(scenario: &str, error: &RunError) -> String {
+    format!("sinew plan: {scenario}: {error}")
+}
+
 /// In a line: the error names its cause itself.
 fn unrecorded(error: RecordingError) -> miette::Report {
     miette!("--out: {error}")
@@ -156,5 +167,16 @@ fn contact_tolerance(warning: WarningBranch) -> f64 {
     match warning {
         WarningBranch::Seeded | WarningBranch::Complementarity => 1e-6,
         WarningBranch::Swarm | WarningBranch::StandardSwarm => 0.5e-3,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_that_diverged_is_told_with_its_file() {
+        let text = ended("my/scenario.toml", &RunError::Diverged(1.5));
+        assert_eq!(text, "sinew plan: my/scenario.toml: the motion diverged at 1.5 s");
     }
 }

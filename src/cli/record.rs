@@ -1,13 +1,13 @@
 //! An open-loop run as a recording, with the schemas of all of sinew.
 
-use sinew::config::{Task, WarningBranch};
-use sinew::ipc::payload::{
-    MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, PlannerBranch, PlannerStatus, State, Target,
-    TargetMode,
-};
-use sinew::planner::{Branch, Goal, Status};
+use sinew::config::Task;
+use sinew::daemon::{plan_into, warning_branch};
+use sinew::ipc::payload::{MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, State, Target, TargetMode};
+use sinew::planner::Goal;
 use sinew::recording::{Recording, RecordingError};
+use sinew::report::tip_error;
 use sinew::scenario::{Run, Step};
+use sinew_hal::clock::seconds_to_ns;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
@@ -38,7 +38,7 @@ impl PlanRecording {
     }
 
     pub(crate) fn write(&mut self, run: &Run, step: &Step) -> Result<(), RecordingError> {
-        let time_ns = (step.time_s * 1e9).round() as u64;
+        let time_ns = seconds_to_ns(step.time_s);
         self.fill_state(run, step);
         self.file.state(time_ns, &self.state)?;
         self.file.target(time_ns, &target(run, step.time_s))?;
@@ -58,28 +58,9 @@ impl PlanRecording {
         let s = &mut *self.state;
         s.header.tick = run.steps();
         s.header.sequence = run.steps();
-        s.header.capture_ns = (step.time_s * 1e9).round() as u64;
+        s.header.capture_ns = seconds_to_ns(step.time_s);
         s.time_s = step.time_s;
-        let report = &step.report;
-        s.planner_status = match report.status {
-            _ if report.relaxed => PlannerStatus::Relaxed,
-            Status::Converged => PlannerStatus::Converged,
-            Status::IterationLimit | Status::BudgetSpent => PlannerStatus::BudgetSpent,
-            Status::Singular => PlannerStatus::Failed,
-        }
-        .wire();
-        s.planner_branch = match (report.branch, run.planner().config().warning) {
-            (Branch::Safe, _) => PlannerBranch::Safe,
-            (Branch::Warning, WarningBranch::Swarm) => PlannerBranch::Swarm,
-            (Branch::Warning, WarningBranch::Seeded) => PlannerBranch::Seeded,
-            (Branch::Warning, WarningBranch::Complementarity) => PlannerBranch::Complementarity,
-            (Branch::Warning, WarningBranch::StandardSwarm) => PlannerBranch::StandardSwarm,
-        }
-        .wire();
-        s.newton_iterations = step.report.iterations as u32;
-        s.swarm_sweeps = step.report.sweeps as u32;
-        s.cost = step.report.cost;
-        s.kkt_residual = step.report.kkt_residual;
+        plan_into(Some(&step.report), warning_branch(run.planner().config().warning), s);
         s.timing.plan_ns = step.plan_ns;
         let cables = arm.cable_count().min(MAX_CABLES);
         s.cable_count = cables as u32;
@@ -94,12 +75,15 @@ impl PlanRecording {
         let (mut k, mut kd) = (vec![0.0; 2 * arm.segment_count()], vec![0.0; 2 * arm.segment_count()]);
         arm.curvatures_into(q, qd, &mut k, &mut kd);
         s.curvature_1pm[..k.len()].copy_from_slice(&k);
-        match run.course().goal(step.time_s) {
+        let goal = run.course().goal(step.time_s);
+        if let Some((position, quaternion)) = tip_error(&goal, &step.tip) {
+            (s.tip_error_m, s.quaternion_error) = (norm(&position), norm(&quaternion));
+        }
+        match goal {
             Goal::Tip { position, quaternion, .. } => {
                 s.target_mode = TargetMode::Tip.wire();
                 s.target_position_m = position.into();
                 s.target_quaternion = quaternion.into();
-                s.tip_error_m = (step.tip.position - position).norm();
             }
             Goal::Shape { curvatures, .. } => {
                 s.target_mode = TargetMode::Shape.wire();
@@ -112,7 +96,7 @@ impl PlanRecording {
         s.distance_count = along_arm.len().min(MAX_TRACKED) as u32;
         for (k, d) in along_arm.iter().take(MAX_TRACKED).enumerate() {
             s.distances[k] =
-                ObstacleDistance { source_id: 0, obstacle_id: k as u32, surface_distance_m: *d, growth_m: 0.0 };
+                ObstacleDistance { source_id: 0, obstacle_id: obstacle_id(k), surface_distance_m: *d, growth_m: 0.0 };
         }
     }
 
@@ -120,7 +104,7 @@ impl PlanRecording {
         let set = &mut *self.obstacles;
         (set.count, set.vertex_count) = (0, 0);
         for (k, o) in run.course().scenario().obstacles.iter().enumerate() {
-            let mut placed = Obstacle::ball(k as u32, o.motion.position_at(t), 0.0);
+            let mut placed = Obstacle::ball(obstacle_id(k), o.motion.position_at(t), 0.0);
             placed.quaternion = o.quaternion;
             placed.velocity_mps = o.motion.velocity_at(t);
             // A scenario has no more obstacles than the planner has room for, which is this set's room.
@@ -129,10 +113,19 @@ impl PlanRecording {
     }
 }
 
+/// Obstacles of a scenario count from 1, as their clients number them.
+const fn obstacle_id(place: usize) -> u32 {
+    place as u32 + 1
+}
+
+fn norm(values: &[f64]) -> f64 {
+    values.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
 fn target(run: &Run, t: f64) -> Target {
     let mut target = Target::default();
     target.header.sequence = run.steps();
-    target.header.capture_ns = (t * 1e9).round() as u64;
+    target.header.capture_ns = seconds_to_ns(t);
     target.valid_from_ns = target.header.capture_ns;
     match &run.course().scenario().task {
         Task::Tip { path, .. } => {

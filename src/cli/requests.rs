@@ -1,13 +1,11 @@
 //! `sinew arm`, `disarm`, `hold`, `track`, `stop`, `clear`, `home`, `speed`, `target`: what an operator asks for.
 
-use super::client::{ANSWER, Which, loop_time_ns, not_connected, numbers, say};
+use super::client::{ANSWER, Which, not_connected, numbers, say};
 use super::{Outcome, complain};
 use clap::{ArgGroup, Args};
-use miette::IntoDiagnostic;
-use sinew::daemon::ReachStatus;
-use sinew::daemon::operator::{OperatorError, Said, Word, parse_speed};
-use sinew::ipc::Client;
-use sinew::ipc::payload::{Header, MAX_SEGMENTS, Request, RequestKind, SupervisorState, Target, TargetMode};
+use sinew::daemon::operator::{Address, OperatorError, Said, Word, parse_speed};
+use sinew::daemon::status;
+use sinew::ipc::payload::{MAX_SEGMENTS, SupervisorState, Target, TargetMode};
 use sinew_hal::peer::user_text;
 use std::time::{Duration, Instant};
 
@@ -19,50 +17,53 @@ pub(crate) struct Ask {
 }
 
 impl Ask {
-    pub(crate) fn run(&self, kind: RequestKind) -> miette::Result<Outcome> {
-        if let Some(word) = Word::of(kind) {
-            return self.order(word);
-        }
-        let mut client = match self.which.connect()? {
-            Ok(client) => client,
-            Err(error) => return Ok(not_connected(&error)),
-        };
-        match client.ask(kind, ANSWER) {
-            Ok(response) if kind == RequestKind::Track && response.is_accepted() => {
-                say(kind.text(), &response)?;
-                say_reach(&client)
-            }
-            Ok(response) => say(kind.text(), &response),
-            Err(error) => Ok(not_connected(&error)),
-        }
-    }
-}
-
-impl Ask {
-    /// Over the arm's socket, which needs no shared memory.
-    fn order(&self, word: Word) -> miette::Result<Outcome> {
+    /// Over the arm's socket, which needs no shared memory. What only stops goes to every daemon of the arm that is found,
+    /// anything else to one.
+    pub(crate) fn run(&self, word: Word) -> miette::Result<Outcome> {
         let found = self.which.find()?;
-        let all = match found.address.ask_all(word, ANSWER) {
-            Ok(all) => all,
-            Err(error) => return Ok(not_connected(&error)),
+        let all = if word.stops() {
+            match found.address.ask_all(word, ANSWER) {
+                Ok(all) => all,
+                Err(error) => return Ok(not_connected(&error)),
+            }
+        } else {
+            let answered = found.address.ask(word, ANSWER);
+            let tracks = word == Word::Track && accepted_in(&answered).is_some();
+            let outcome = said(word.text(), answered)?;
+            return Ok(if tracks { say_reach(&found.address) } else { outcome });
         };
         let several = all.len() > 1;
         let mut outcome = Outcome::Done;
-        for (uid, said) in all {
+        for (uid, one) in all {
             if several {
                 complain(format_args!("sinew: the daemon of user {}:", user_text(uid)));
             }
-            let one = match said {
-                Ok(Said::Answer(answer)) => say(word.text(), &answer.response())?,
-                Ok(Said::Refused(why)) => not_connected(&OperatorError::Refused { why }),
-                Ok(Said::Status(_)) => not_connected(&OperatorError::Refused { why: "not understood".into() }),
-                Err(error) => not_connected(&error),
-            };
+            let one = said(word.text(), one)?;
             if one != Outcome::Done {
                 outcome = one;
             }
         }
         Ok(outcome)
+    }
+}
+
+/// The supervisor's state where it accepts.
+fn accepted_in(said: &Result<Said, OperatorError>) -> Option<SupervisorState> {
+    match said {
+        Ok(Said::Answer(answer)) if answer.accepted => SupervisorState::from_wire(answer.supervisor),
+        _ => None,
+    }
+}
+
+/// Says what a daemon said.
+fn said(asked: &str, said: Result<Said, OperatorError>) -> miette::Result<Outcome> {
+    match said {
+        Ok(Said::Answer(answer)) => say(asked, &answer.response()),
+        Ok(Said::Refused(why)) => Ok(not_connected(&OperatorError::Refused { why })),
+        Ok(Said::Status(_) | Said::Taken) => {
+            Ok(not_connected(&OperatorError::Refused { why: "not understood".into() }))
+        }
+        Err(error) => Ok(not_connected(&error)),
     }
 }
 
@@ -78,42 +79,45 @@ pub(crate) struct EmergencyStop {
 
 impl EmergencyStop {
     pub(crate) fn run(&self) -> miette::Result<Outcome> {
-        self.ask.run(if self.release { RequestKind::EmergencyRelease } else { RequestKind::EmergencyStop })
+        self.ask.run(if self.release { Word::EmergencyRelease } else { Word::EmergencyStop })
     }
 }
 
 /// Longest wait for what the arm finds out about a target: it looks from several postures.
 const REACH: Duration = Duration::from_secs(10);
+/// A loop that makes no tick for so long finds nothing out.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Between two looks at the daemon's report.
+const LOOKS: Duration = Duration::from_millis(50);
 
 /// Waits until the loop has found out whether a tip target that is followed from now on is within reach, and says so where it is
 /// not.
-fn say_reach(client: &Client) -> miette::Result<Outcome> {
-    let states = client.states().into_diagnostic()?;
+fn say_reach(address: &Address) -> Outcome {
     let deadline = Instant::now() + REACH;
-    let (mut first, mut out) = (None, None);
-    while Instant::now() < deadline {
-        let Some(state) = states.wait(Duration::from_secs(1)).into_diagnostic()? else { break };
+    let (mut first, mut out, mut newest) = (None, None, (0, Instant::now()));
+    while Instant::now() < deadline && newest.1.elapsed() < SILENCE {
+        let report = match status::ask(address) {
+            Ok(Some(report)) => report,
+            Ok(None) => break,
+            Err(error) => return not_connected(&error),
+        };
+        if report.ticks > newest.0 {
+            newest = (report.ticks, Instant::now());
+        }
         // The tick of the answer may have seen the target before; the next one has not.
-        let since = *first.get_or_insert(state.header.tick);
-        if state.header.tick < since + 3 {
-            continue;
-        }
-        if let Some(reach) = ReachStatus::of(&state) {
+        let seen = report.ticks >= *first.get_or_insert(report.ticks) + 3;
+        if let Some(reach) = report.reach.filter(|_| seen) {
             // The tick that finds it out still tracks; whether it is refused shows the one after.
-            let found = *out.get_or_insert(state.header.tick);
-            if !reach.refused && state.header.tick < found + 2 {
-                continue;
+            if reach.refused || report.ticks >= *out.get_or_insert(report.ticks) + 2 {
+                complain(format_args!("the target is out of reach: {}", reach.text()));
+                return if reach.refused { Outcome::Failed } else { Outcome::Done };
             }
-            let refused = reach.refused;
-            complain(format_args!("the target is out of reach: {}", reach.text()));
-            return Ok(if refused { Outcome::Failed } else { Outcome::Done });
-        }
-        let looks = state.target_mode == TargetMode::Tip.wire() && state.reach_miss_m.is_nan();
-        if state.supervisor != SupervisorState::Tracking.wire() || !looks {
+        } else if seen && !report.reach_sought {
             break;
         }
+        std::thread::sleep(LOOKS);
     }
-    Ok(Outcome::Done)
+    Outcome::Done
 }
 
 /// Arguments of `sinew speed`.
@@ -129,7 +133,7 @@ pub(crate) struct Speed {
 impl Speed {
     pub(crate) fn run(&self) -> miette::Result<Outcome> {
         match parse_speed(&self.speed) {
-            Ok(scale) => self.ask.order(Word::Speed(scale)),
+            Ok(scale) => self.ask.run(Word::Speed(scale)),
             Err(why) => {
                 complain(format_args!("sinew speed: {why}"));
                 Ok(Outcome::Unusable)
@@ -137,9 +141,6 @@ impl Speed {
         }
     }
 }
-
-/// Source id under which this command gives targets.
-const SOURCE_ID: u32 = 0x5157;
 
 /// Arguments of `sinew target`.
 #[derive(Debug, Args)]
@@ -160,29 +161,18 @@ pub(crate) struct TargetArguments {
 
 impl TargetArguments {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
-        let mut target = match self.target() {
+        let target = match self.target() {
             Ok(target) => target,
             Err(why) => {
                 complain(format_args!("sinew target: {why}"));
                 return Ok(Outcome::Unusable);
             }
         };
-        let mut client = match self.which.connect()? {
-            Ok(client) => client,
-            Err(error) => return Ok(not_connected(&error)),
-        };
-        let capture_ns = loop_time_ns(&client)?;
-        target.header = Header::new(SOURCE_ID, 0, capture_ns);
-        let mut request = Request { target, ..Request::new(RequestKind::SetTarget) };
-        request.header.source_id = SOURCE_ID;
-        match client.request(request, ANSWER) {
-            Ok(response) if response.is_accepted() && response.supervisor == SupervisorState::Tracking.wire() => {
-                say("target", &response)?;
-                say_reach(&client)
-            }
-            Ok(response) => say("target", &response),
-            Err(error) => Ok(not_connected(&error)),
-        }
+        let address = self.which.find()?.address;
+        let answered = address.set_target(&target, ANSWER);
+        let tracks = accepted_in(&answered) == Some(SupervisorState::Tracking);
+        let outcome = said("target", answered)?;
+        Ok(if tracks { say_reach(&address) } else { outcome })
     }
 
     fn target(&self) -> Result<Target, String> {

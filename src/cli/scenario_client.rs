@@ -17,6 +17,7 @@ use sinew::ipc::payload::{
 };
 use sinew::ipc::{Client as Daemon, Domain, Message, NewestSubscriber, SourcePublisher, monotonic_ns};
 use sinew_hal::clock::Naps;
+use sinew_hal::clock::seconds_to_ns;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -140,7 +141,7 @@ struct ScenarioClock {
 
 impl ScenarioClock {
     fn new(task: &Task) -> Self {
-        Self { approach_ns: (1e9 * approach_s(task)).round() as u64, origin_ns: None }
+        Self { approach_ns: seconds_to_ns(approach_s(task)), origin_ns: None }
     }
 
     fn see(&mut self, state: &State) {
@@ -296,7 +297,7 @@ impl Content for TaskContent {
                 if t_s.is_some() {
                     target.velocity_mps = path.velocity_at(point_s);
                     target.angular_velocity_radps = turning_rate(path, point_s);
-                    target.valid_from_ns = origin_ns + (1e9 * point_s) as u64;
+                    target.valid_from_ns = origin_ns + seconds_to_ns(point_s);
                 }
             }
             task @ Task::Shape { curvatures_1pm, .. } => {

@@ -312,6 +312,11 @@ impl ArmConfig {
         self.segments.iter().flat_map(segment).collect()
     }
 
+    /// What its cables are called.
+    pub fn cable_names(&self) -> super::CableNames {
+        super::CableNames::new(self.segments.iter().map(|segment| segment.hole_angles_rad.len()))
+    }
+
     /// Number of cables.
     pub fn cable_count(&self) -> usize {
         self.segments.iter().map(|s| s.hole_angles_rad.len()).sum()

@@ -11,6 +11,7 @@ mod access;
 mod arm;
 mod arm_file;
 mod builtin;
+mod cable;
 mod check;
 mod computed;
 mod document;
@@ -43,6 +44,7 @@ pub use access::{ACCESS, AccessConfig, Who};
 pub use arm::*;
 pub use arm_file::ARM;
 pub use builtin::{ARMS, BUILTIN_FILES, SCENARIOS, builtin_texts, simulated_drives};
+pub use cable::{CableName, CableNames};
 pub use check::SummaryLine;
 pub use drives::{
     BusConfig, BusKind, BusLayout, DRIVES, DriveConfig, DrivesConfig, PACKED_DRIVES_MAX, Protection, SIMULATED_DRIVE,

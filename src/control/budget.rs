@@ -1,8 +1,8 @@
 //! How much time planning may use (design, section 9): pure arithmetic on times that the caller read.
 
-use super::settings::seconds_to_ns;
 use crate::config::LoopConfig;
 use crate::planner::Deadline;
+use sinew_hal::clock::seconds_to_ns;
 
 /// A part of the tick, for the caller's stop watch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

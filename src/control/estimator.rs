@@ -44,6 +44,12 @@ pub trait Estimator {
     /// [`EstimatorFailure::Step`].
     fn update(&mut self, sent_n: &[f64], lengths_m: &[f64], periods: u32) -> Result<Estimate, EstimatorFailure>;
 
+    /// Takes over, for the record alone, the shape that the lengths (m) show of an arm at rest; false where they show none.
+    /// For ticks in which nothing is estimated.
+    fn look(&mut self, _lengths_m: &[f64]) -> bool {
+        false
+    }
+
     /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
 
@@ -89,6 +95,10 @@ impl Estimator for Observer {
             growing: update.growing,
             settled: update.settled,
         })
+    }
+
+    fn look(&mut self, lengths_m: &[f64]) -> bool {
+        Self::look(self, lengths_m)
     }
 
     fn state(&self) -> &State {

@@ -1,8 +1,8 @@
 //! What can go wrong, as data: faults that change the mode, limits that act, and the latch that keeps the first cause.
 //!
-//! Nothing here formats in the loop: words are made by `Display`, [`Fault::what`] and [`Fault::remedy`] elsewhere.
+//! Nothing here formats: words are made elsewhere (`fault_words`).
 
-use std::fmt;
+use super::fault_parts::Class;
 
 /// The machine must change its mode: tensions go to the safe value by ramp, drives are disabled, the cause is latched.
 ///
@@ -213,103 +213,6 @@ impl Fault {
         }
     }
 
-    /// What it is about, by code: the cable or bus (0-based), or a count; 0 where there is no such number.
-    pub const fn detail(&self) -> u32 {
-        match *self {
-            Self::DriveFault { cable, .. }
-            | Self::EncoderSilent { cable, .. }
-            | Self::EncoderJump { cable, .. }
-            | Self::EncoderStuck { cable, .. }
-            | Self::TensionError { cable, .. }
-            | Self::CableLength { cable, .. }
-            | Self::CablePull { cable, .. }
-            | Self::Saturated { cable, .. }
-            | Self::TensionNotFinite { cable }
-            | Self::TensionOutside { cable, .. } => cable as u32,
-            Self::EmergencyStop { source } => source as u32,
-            Self::BusLost { bus } => bus as u32,
-            Self::PlanSingular { count } | Self::Overruns { count } => count,
-            _ => 0,
-        }
-    }
-
-    /// What happened, without the data, for a log that has only the code.
-    pub const fn what(&self) -> &'static str {
-        match self {
-            Self::DriveFault { .. } => "a drive reports a fault",
-            Self::DrivesLost => "the drives left torque operation by themselves",
-            Self::DrivesNotUp { .. } => "the drives did not come up in time",
-            Self::BusLost { .. } => "a bus does not answer",
-            Self::TensionError { .. } => "a drive measures another tension than it was told",
-            Self::EmergencyStop { .. } => "an emergency stop is pressed",
-            Self::EncoderSilent { .. } => "an encoder is silent",
-            Self::EncoderJump { .. } => "an encoder jumped",
-            Self::EncoderStuck { .. } => "an encoder sticks while its cable moves",
-            Self::CableLength { .. } => "an encoder does not fit the other cables of its segment",
-            Self::CablePull { .. } => "a cable does not pull what its drive was told",
-            Self::InnovationBound { .. } => "model and measured cable lengths disagree",
-            Self::InnovationGrowth { .. } => "model and measured cable lengths drift apart",
-            Self::NotSettled { .. } => "the observer did not settle in time",
-            Self::NoStart => "no arm shape fits the measured cable lengths",
-            Self::EstimateLost => "the estimated state is not finite",
-            Self::TensionNotFinite { .. } => "a planned tension is not a number",
-            Self::TensionOutside { .. } => "a planned tension lies outside its box",
-            Self::PlanSingular { .. } => "the planner failed several times in a row",
-            Self::TargetNotFinite => "a target that is not a number reached the loop",
-            Self::Overruns { .. } => "too many deadlines missed",
-            Self::TipSpeed { .. } => "the tip is faster than declared",
-            Self::BendRate { .. } => "a segment bends faster than declared",
-            Self::Swinging { .. } => "the arm swings",
-            Self::Saturated { .. } => "a tension stays at its limit",
-        }
-    }
-
-    /// What clears it. Every fault is released by `clear` once its cause is gone and the ramp is over.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::DriveFault { .. } => "look up the drive's error, then `clear`: it resets the drives",
-            Self::DrivesLost => "check power, brake and enable lines of the drives, then `clear`",
-            Self::DrivesNotUp { .. } => "check power, wiring and node ids of the drives, then `clear` and `arm`",
-            Self::BusLost { .. } => "restore the bus (cable, termination, interface), then `clear`",
-            Self::TensionError { .. } => {
-                "check the drive's limits (6072), its current loop and who else writes to it, then `clear`"
-            }
-            Self::EmergencyStop { .. } => "release the emergency stop, then `clear`",
-            Self::EncoderSilent { .. } => "restore the encoder's readings, then `clear`",
-            Self::EncoderJump { .. } => "check the encoder and its cable's drum, reference it anew, then `clear`",
-            Self::EncoderStuck { .. } => "check the encoder's coupling and the cable (broken, slack), then `clear`",
-            Self::CableLength { .. } => {
-                "check `sign`, `counts_per_turn`, `gear_ratio` and `drum_radius_m` of its drive, its reference, and whether the cable slips, then `clear`"
-            }
-            Self::CablePull { .. } => {
-                "check `rated_torque_nm`, `gear_ratio`, `drum_radius_m` and `sign` of its drive, whether the cable is whole, and that nothing holds the arm, then `clear`"
-            }
-            Self::InnovationBound { .. } | Self::InnovationGrowth { .. } => {
-                "look for a broken or slack cable, a wrong encoder reference or an unmodelled load, then `clear`"
-            }
-            Self::NotSettled { .. } => {
-                "bring the arm to rest and check the encoders' references, then `clear` and `arm`"
-            }
-            Self::NoStart => "check the encoders' references and the arm's parameters, then `clear` and `arm`",
-            Self::EstimateLost => "check the arm's parameters (damping, masses), then `clear` and `arm`",
-            Self::TensionNotFinite { .. } | Self::TensionOutside { .. } => {
-                "a defect of the planner: keep the recording, then `clear` and `arm`"
-            }
-            Self::PlanSingular { .. } => "bring the arm to a regular pose, then `clear` and `arm`",
-            Self::TargetNotFinite => "stop the client that sends it, then `clear`",
-            Self::Overruns { .. } => "free the processor or lengthen the period, then `clear` and `arm`",
-            Self::TipSpeed { .. } | Self::BendRate { .. } => {
-                "look for what drove the arm (an obstacle that jumps, a push), or raise the limit in `[supervision]`, then `clear`"
-            }
-            Self::Swinging { .. } => {
-                "let the arm come to rest; check its damping and the observer's settings, then `clear` and `arm`"
-            }
-            Self::Saturated { .. } => {
-                "choose a pose that needs less tension, or look for a load or a contact, then `clear`"
-            }
-        }
-    }
-
     /// Whether the arm may stay as it is at this fault, held by the tensions that it had, until somebody stops it. It may not
     /// where a drive pulls what nobody told it to, where somebody else commands the drives, where a person presses a
     /// button, and where nothing is held yet.
@@ -334,57 +237,7 @@ impl Fault {
 
     /// Whether the estimate can no longer be believed, so that it is not continued after this fault.
     pub const fn spoils_estimate(&self) -> bool {
-        matches!(self.code() / 10, 2 | 3)
-    }
-}
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::DriveFault { cable, cause } => write!(f, "the drive of cable {cable} reports fault {cause}"),
-            Self::DrivesNotUp { after_s } => write!(f, "the drives did not come up within {after_s:.1} s"),
-            Self::BusLost { bus } => write!(f, "bus {bus} does not answer"),
-            Self::EncoderSilent { cable, age_s } => {
-                write!(f, "the encoder of cable {cable} has been silent for {age_s:.3} s")
-            }
-            Self::EncoderJump { cable, step_m } => write!(f, "the encoder of cable {cable} jumped by {step_m:.4} m"),
-            Self::EncoderStuck { cable, motion_m } => {
-                write!(f, "the encoder of cable {cable} sticks while the model moves the cable by {motion_m:.4} m")
-            }
-            Self::TensionError { cable, error_n } => {
-                write!(f, "the drive of cable {cable} measures {error_n:+.2} N beyond the tension it was told")
-            }
-            Self::EmergencyStop { source: Self::SERVICE } => f.write_str("an operator's emergency stop is pressed"),
-            Self::EmergencyStop { source } => write!(f, "the emergency stop at the drive of cable {source} is pressed"),
-            Self::CableLength { cable, error_m, factor, unsure } => {
-                let which = if unsure { ", or another of its segment," } else { "" };
-                write!(f, "the encoder of cable {cable}{which} is {:.2} mm off the other cables", 1e3 * error_m)?;
-                if factor.is_finite() { write!(f, "; it shows {factor:.2} times their motion") } else { Ok(()) }
-            }
-            Self::CablePull { cable, factor } => {
-                write!(f, "cable {cable} pulls {factor:.2} times what its drive was told")
-            }
-            Self::InnovationBound { innovation_rad } => {
-                write!(f, "model and measured cable lengths disagree by {innovation_rad:.3} rad")
-            }
-            Self::InnovationGrowth { growth_rad } => {
-                write!(f, "model and measured cable lengths drifted apart by {growth_rad:.3} rad within the window")
-            }
-            Self::NotSettled { after_s } => write!(f, "the observer did not settle within {after_s:.1} s"),
-            Self::TensionNotFinite { cable } => write!(f, "the planned tension of cable {cable} is not a number"),
-            Self::TensionOutside { cable, tension_n } => {
-                write!(f, "the planned tension of cable {cable}, {tension_n:.6} N, lies outside its box")
-            }
-            Self::PlanSingular { count } => write!(f, "the planner failed {count} times in a row"),
-            Self::Overruns { count } => write!(f, "{count} deadlines missed"),
-            Self::TipSpeed { speed_mps } => write!(f, "the tip moves at {speed_mps:.3} m/s"),
-            Self::BendRate { rate_radps } => write!(f, "a segment bends at {rate_radps:.3} rad/s"),
-            Self::Swinging { swing_m } => write!(f, "the tip swings by {:.1} mm", 1e3 * swing_m),
-            Self::Saturated { cable, time_s } => {
-                write!(f, "the tension of cable {cable} has been at its limit for {time_s:.1} s")
-            }
-            Self::DrivesLost | Self::NoStart | Self::EstimateLost | Self::TargetNotFinite => f.write_str(self.what()),
-        }
+        matches!(self.class(), Class::Cables | Class::Estimate)
     }
 }
 
@@ -595,8 +448,9 @@ mod tests {
 
     #[test]
     fn every_fault_says_what_happened_and_what_clears_it() {
+        let names = crate::config::CableNames::new([6; 4]);
         for fault in Fault::EXAMPLES {
-            assert!(!fault.what().is_empty() && !fault.to_string().is_empty());
+            assert!(!fault.what().is_empty() && !fault.in_words(&names).is_empty());
             assert!(fault.remedy().contains("`clear`"), "{fault:?}");
         }
         let texts: std::collections::HashSet<_> = Fault::EXAMPLES.iter().map(Fault::what).collect();

@@ -71,7 +71,8 @@ pub struct Record {
     pub events_dropped: u64,
     /// The planner's report; `None` where it did not run.
     pub plan: Option<Report>,
-    /// Whether the estimate below follows the arm; otherwise it is the last one, or the straight arm.
+    /// Whether the estimate below follows the arm; otherwise it is the arm at rest as its cables' lengths show it, evenly bent,
+    /// and without them the last one, or the straight arm.
     pub observing: bool,
     /// Whether the observer has settled.
     pub settled: bool,

@@ -93,8 +93,3 @@ impl Settings {
         self.arm.tension_n_min
     }
 }
-
-/// Nanoseconds of a duration in seconds; negative and NaN give 0.
-pub(super) fn seconds_to_ns(seconds: f64) -> u64 {
-    (seconds * 1e9).round() as u64
-}

@@ -42,8 +42,8 @@ use super::event::{Event, EventKind, EventRing};
 use super::fault::{Fault, FaultLatch, FaultList, Limit, Limits};
 use super::obstacles::ObstacleDemand;
 use super::overruns::{Demand, Overruns};
-use super::settings::seconds_to_ns;
 use crate::config::{LoopConfig, ObserverConfig};
+use sinew_hal::clock::seconds_to_ns;
 
 /// What the arm is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -7,7 +7,7 @@
 use super::reach::ReachStatus;
 use super::status::{DriveStatus, FaultStatus};
 use crate::control::Limit;
-use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use crate::ipc::payload::{AlarmCode, AlarmRecord, RejectCause, SourceHealth, SourceReport, State, SupervisorState};
 use crate::recording::utc_text;
 use serde::{Deserialize, Serialize};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -15,6 +15,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Something that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Alarm {
+    /// Code of the fault, of the limit, or [`AlarmCode`]: as in `State`.
+    pub code: u32,
+    /// What it is about, as a number: the fault's detail, a source id, a count of drives.
+    pub subject: u32,
     /// What it is about: `fault`, `motion`, `emergency stop`, `obstacles 7`, `target`, `drives`, `real time`, `recording`.
     pub about: String,
     /// What is wrong.
@@ -25,6 +29,14 @@ pub struct Alarm {
     pub clears: String,
     /// Since when, in UTC: `20261129T223318Z`.
     pub since_utc: String,
+    /// The same in the loop's time (ns).
+    pub since_ns: u64,
+}
+
+impl Alarm {
+    fn is_same(&self, other: &Self) -> bool {
+        (self.code, self.subject, &self.what) == (other.code, other.subject, &other.what)
+    }
 }
 
 /// What alarms are made from.
@@ -48,15 +60,15 @@ impl Alarms {
     pub(super) fn update(&mut self, seen: &Seen<'_>) {
         let mut raised = raised(seen);
         for alarm in &mut raised {
-            match self.0.iter().find(|known| known.about == alarm.about && known.what == alarm.what) {
-                Some(known) => alarm.since_utc.clone_from(&known.since_utc),
+            match self.0.iter().find(|known| known.is_same(alarm)) {
+                Some(known) => (alarm.since_utc, alarm.since_ns) = (known.since_utc.clone(), known.since_ns),
                 // Said at the start.
                 None if alarm.about == REAL_TIME => {}
                 None => tracing::warn!(about = alarm.about, does = alarm.does, clears = alarm.clears, "{}", alarm.what),
             }
         }
         for known in &self.0 {
-            if !raised.iter().any(|alarm| known.about == alarm.about && known.what == alarm.what) {
+            if !raised.iter().any(|alarm| known.is_same(alarm)) {
                 tracing::info!(about = known.about, "over: {}", known.what);
             }
         }
@@ -66,11 +78,27 @@ impl Alarms {
     pub(super) fn list(&self) -> Vec<Alarm> {
         self.0.clone()
     }
+
+    /// The same as `State` has them.
+    pub(super) fn records_into(&self, records: &mut Vec<AlarmRecord>) {
+        records.clear();
+        let record = |a: &Alarm| AlarmRecord { code: a.code, subject: a.subject, since_ns: a.since_ns };
+        records.extend(self.0.iter().map(record));
+    }
 }
 
-fn alarm(about: impl Into<String>, what: impl Into<String>, does: &str, clears: impl Into<String>) -> Alarm {
+fn alarm(
+    (code, subject): (u32, u32),
+    about: impl Into<String>,
+    what: impl Into<String>,
+    does: &str,
+    clears: impl Into<String>,
+) -> Alarm {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     Alarm {
+        code,
+        subject,
+        since_ns: 0,
         about: about.into(),
         what: what.into(),
         does: does.into(),
@@ -86,21 +114,24 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
     let mut list = Vec::new();
     if let Some(fault) = &seen.fault {
         let does = "the tensions go to the safe value, the drives off; nothing moves before it is cleared";
-        list.push(alarm("fault", fault.what.clone(), does, fault.clears.clone()));
+        list.push(alarm((fault.code, fault.detail), "fault", fault.what.clone(), does, fault.clears.clone()));
     } else if let Some(fault) = &seen.drives.fault {
-        list.push(alarm("drives", fault.clone(), "the arm may not be armed", "mend it, then `sinew clear`"));
+        let id = (AlarmCode::DriveFault.wire(), 0);
+        list.push(alarm(id, "drives", fault.clone(), "the arm may not be armed", "mend it, then `sinew clear`"));
     }
     if let Some(state) = seen.state {
         state.obstacle_sources.iter().filter_map(|source| of_source(source, seen.required)).for_each(|a| list.push(a));
         let known = |id: &&u32| state.obstacle_sources.iter().any(|s| s.source_id == **id && is_heard(s));
         for id in seen.required.iter().filter(|id| !known(id)) {
             let clears = "start the perception client; it is in `obstacles.required`";
-            list.push(alarm(format!("obstacles {id}"), "the source is absent", HOLDS, clears));
+            let code = AlarmCode::SourceAbsent;
+            list.push(alarm((code.wire(), *id), format!("obstacles {id}"), code.text(), HOLDS, clears));
         }
         let tracking = state.supervisor == SupervisorState::Tracking.wire();
         if tracking && state.target_report.health == SourceHealth::Expired.wire() {
             let clears = "the task client sends again, then `sinew track`";
-            list.push(alarm("target", "the target is too old", HOLDS, clears));
+            let code = AlarmCode::TargetExpired;
+            list.push(alarm((code.wire(), state.target_report.source_id), "target", code.text(), HOLDS, clears));
         }
     }
     if let Some(state) = seen.state {
@@ -109,15 +140,25 @@ fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
     }
     for (what, count) in &seen.drives.lack {
         let what = format!("{count} of {} drives lack {what}", seen.drives.count);
-        list.push(alarm("drives", what, "nothing; it is accepted (`drives.accept_without`)", "other drives"));
+        let id = (AlarmCode::DrivesLack.wire(), *count as u32);
+        list.push(alarm(id, "drives", what, "nothing; it is accepted (`drives.accept_without`)", "other drives"));
     }
     for refused in seen.realtime_refused {
-        list.push(alarm(REAL_TIME, refused.clone(), "deadlines may be missed", "grant it and start anew"));
+        list.push(alarm(
+            (AlarmCode::RealTime.wire(), 0),
+            REAL_TIME,
+            refused.clone(),
+            "deadlines may be missed",
+            "grant it and start anew",
+        ));
     }
     if seen.recording_failed {
         let clears = "make room, and start anew; the log has the cause";
-        list.push(alarm("recording", "the recording ended early", "nothing", clears));
+        let code = AlarmCode::Recording;
+        list.push(alarm((code.wire(), 0), "recording", code.text(), "nothing", clears));
     }
+    let now_ns = seen.state.map_or(0, |state| state.header.capture_ns);
+    list.iter_mut().for_each(|alarm| alarm.since_ns = now_ns);
     list
 }
 
@@ -144,7 +185,7 @@ fn of_limit(limit: Limit, state: &State) -> Option<Alarm> {
         _ => return None,
     };
     let about = if limit == Limit::EmergencyStop { "emergency stop" } else { "motion" };
-    Some(alarm(about, limit.text(), &does, clears))
+    Some(alarm((limit.code(), 0), about, limit.text(), &does, clears))
 }
 
 fn is_heard(source: &SourceReport) -> bool {
@@ -158,15 +199,22 @@ fn of_source(source: &SourceReport, required: &[u32]) -> Option<Alarm> {
     } else {
         "the source is back, or `sinew clear` if it is gone for good"
     };
+    let id = |code: AlarmCode| (code.wire(), source.source_id);
     match SourceHealth::from_wire(source.health)? {
-        SourceHealth::Stale => Some(alarm(about, "the source is silent", "its obstacles grow", "the source is back")),
-        SourceHealth::Expired => Some(alarm(about, "the source is too old", HOLDS, gone)),
+        SourceHealth::Stale => {
+            let code = AlarmCode::SourceStale;
+            Some(alarm(id(code), about, code.text(), "its obstacles grow", "the source is back"))
+        }
+        SourceHealth::Expired => {
+            Some(alarm(id(AlarmCode::SourceExpired), about, AlarmCode::SourceExpired.text(), HOLDS, gone))
+        }
         SourceHealth::Refused => {
             let causes = source.rejected.iter().zip(0..).filter(|(count, _)| **count > 0).max();
             let cause =
                 causes.and_then(|(_, cause)| RejectCause::from_wire(cause)).map_or("unknown", RejectCause::text);
             let clears = "the source is mended, or `sinew clear` if it is gone";
-            Some(alarm(about, format!("every set is refused: {cause}"), HOLDS, clears))
+            let code = AlarmCode::SourceRefused;
+            Some(alarm(id(code), about, format!("{}: {cause}", code.text()), HOLDS, clears))
         }
         SourceHealth::Absent | SourceHealth::Fresh | SourceHealth::Held => None,
     }
@@ -193,13 +241,19 @@ mod tests {
             Seen { state: Some(state), required: &[8, 9], ..Seen::default() }
         }
         alarms.update(&seen(&state));
-        let refused = ("obstacles 7".to_owned(), "every set is refused: capture time lies in the future".to_owned());
+        let refused = ("obstacles 7".to_owned(), "sets are refused: capture time lies in the future".to_owned());
         let absent = ("obstacles 9".to_owned(), "the source is absent".to_owned());
         assert_eq!(abouts(&alarms), [refused.clone(), absent.clone()]);
         assert!(alarms.0.iter().all(|a| a.does == HOLDS && !a.clears.is_empty()));
         alarms.0[0].since_utc = "yesterday".into();
+        let first_ns = state.header.capture_ns;
+        state.header.capture_ns += 1000;
         alarms.update(&seen(&state));
         assert_eq!(alarms.list()[0].since_utc, "yesterday", "it goes on");
+        let mut records = Vec::new();
+        alarms.records_into(&mut records);
+        assert_eq!(records[0], AlarmRecord { code: 502, subject: 7, since_ns: first_ns });
+        assert_eq!((records.len(), records[1].code, records[1].subject), (2, 503, 9));
         state.obstacle_sources[0].health = SourceHealth::Fresh.wire();
         alarms.update(&seen(&state));
         assert_eq!(abouts(&alarms), [absent]);

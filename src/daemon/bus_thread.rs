@@ -5,18 +5,18 @@
 //! the control thread, statistics of the buses. It must never send torques: that is the control thread's business.
 
 use super::drive_causes::{
-    CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of, cause_text,
+    CHANGED, HEARTBEAT_LOST, Memory, NO_EMERGENCY, NO_FEEDBACK, NODE_ID_TAKEN, NOT_USABLE, cause_of,
 };
+use super::drive_faults::{Gathered, lacking};
 use super::link::{DrivesEnd, LoopTime, Progress};
 use super::status::{BusStatus, DriveStatus, Shared};
-use crate::config::{BusConfig, BusKind, Config};
-use crate::control::{DrivesInput, DrivesPhase};
+use crate::config::{BusConfig, BusKind, CableNames, Config};
+use crate::control::{DrivesInput, DrivesPhase, cause_text};
 use crate::ipc::SourcePublisher;
 use crate::ipc::payload::{EncoderSource, Encoders};
 use sinew_hal::can::{CanBus, Received};
 use sinew_hal::canopen::emcy::code::RPDO_TIMEOUT;
 use sinew_hal::canopen::{Message, NodeId};
-use sinew_hal::cia402::objects::{EVENT_TIMER, GUARD, RPDO_COMMUNICATION, TORQUE_SLOPE};
 use sinew_hal::cia402::{CycleWriter, Decoder, DriveMask, Event, Fault, Goal, Master, Phase, State};
 use sinew_hal::clock::{Naps, monotonic_ns};
 use sinew_hal::load::{BitRates, Shape};
@@ -105,6 +105,9 @@ pub(crate) struct BusThread {
     emergency_bit: Option<(u8, bool)>,
     /// What drives lack, as it was told last.
     lack: BTreeMap<String, usize>,
+    /// What is wrong with drives, for the log.
+    gathered: Gathered,
+    cables: CableNames,
     /// The bus on which another node was heard under the master's id.
     id_taken_on: Option<usize>,
     /// Whether it lived when it was asked for last, and when that was (ns).
@@ -167,6 +170,8 @@ impl BusThread {
             },
             emergency_bit: config.drives.emergency_stop_bit.map(|bit| (bit, config.drives.emergency_stop_low)),
             lack: BTreeMap::new(),
+            gathered: Gathered::new(config.arm.cable_names()),
+            cables: config.arm.cable_names(),
             id_taken_on: None,
             lives: (false, 0),
             shared,
@@ -187,7 +192,7 @@ impl BusThread {
             let now_ns = monotonic_ns();
             self.listen(now_ns, Duration::ZERO);
             let state = self.master.poll(now_ns);
-            self.note_faults();
+            self.note_faults(now_ns);
             if state.ready == state.drives {
                 break;
             }
@@ -242,13 +247,14 @@ impl BusThread {
             }
             self.statistics(real_ns);
         }
+        self.gathered.due(u64::MAX).iter().for_each(|line| tracing::warn!("{line}"));
     }
 
     /// Real time: the wish, the drives, the state.
     fn follow(&mut self, now_ns: u64) {
         self.obey(now_ns);
         let state = self.master.poll(now_ns);
-        self.note_faults();
+        self.note_faults(now_ns);
         if self.link.is_disarmed() {
             self.retry(now_ns, state.failed);
         }
@@ -477,13 +483,15 @@ impl BusThread {
     }
 
     /// Takes over the master's faults, and says each once.
-    fn note_faults(&mut self) {
+    fn note_faults(&mut self, now_ns: u64) {
+        self.gathered.due(now_ns).iter().for_each(|line| tracing::warn!("{line}"));
         for fault in self.master.take_faults() {
-            tracing::warn!("{fault}");
+            self.gathered.add(now_ns, &fault);
             let memory = &mut self.memory[fault.drive];
             match fault.fault {
+                // What follows the first is its consequence as a rule.
                 Fault::Emergency(e) => {
-                    memory.emergency = Some(u32::from(e.code));
+                    memory.emergency.get_or_insert(u32::from(e.code));
                     // A drive need not go into fault for it, but one that does not get its torques must not be used.
                     if e.code == RPDO_TIMEOUT {
                         memory.sticky = Some(u32::from(e.code));
@@ -623,23 +631,16 @@ impl BusThread {
                 let (bus, node) = self.node_to_drive[usize::from(cable)];
                 match self.id_taken_on {
                     Some(bus) if cause == NODE_ID_TAKEN => format!("bus {bus}: {}", cause_text(cause)),
-                    _ => format!("cable {cable} (bus {bus}, node {node}): {}", cause_text(cause)),
+                    _ => format!(
+                        "{} (bus {bus}, node {node}): {}",
+                        self.cables.words(usize::from(cable)),
+                        cause_text(cause)
+                    ),
                 }
             }),
         };
         self.shared.set_wires(buses, drives);
     }
-}
-
-/// What an object that a drive lacks would protect against.
-fn lacking((index, sub): (u16, u8)) -> String {
-    let what = match (index, sub) {
-        (RPDO_COMMUNICATION, EVENT_TIMER) => "the time-out of torques, ",
-        (GUARD, _) => "the guard of SYNC, ",
-        (TORQUE_SLOPE, _) => "the slope of torque, ",
-        _ => "",
-    };
-    format!("{what}{index:04x}:{sub:02x}")
 }
 
 /// What a round of listening brought.

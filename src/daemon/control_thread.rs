@@ -15,6 +15,7 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rtrb::Producer;
 use sinew_hal::cia402::CycleWriter;
+use sinew_hal::clock::seconds_to_ns;
 use sinew_hal::clock::{Clock, Monotonic, Naps, monotonic_ns};
 use sinew_hal::motor_bank::MotorBank;
 use sinew_hal::realtime::{self, Report};
@@ -133,7 +134,7 @@ impl Stopping {
     fn new(config: &Config) -> Self {
         let timing = &config.timing;
         let longest_s = timing.stop_timeout_s + timing.ramp_s.max(timing.release_s) + STOP_S;
-        Self { since_ns: None, longest_ns: (1e9 * longest_s) as u64 }
+        Self { since_ns: None, longest_ns: seconds_to_ns(longest_s) }
     }
 
     fn is_over(&mut self, stop: bool, last: Option<&Ticked>) -> bool {

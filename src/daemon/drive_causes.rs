@@ -1,32 +1,10 @@
-//! Why a drive cannot be used: the numbers under which the supervisor and the records know it, and their words.
+//! Why a drive cannot be used: the numbers under which the supervisor and the records know it. Their words are
+//! [`crate::control::cause_text`]'s.
 //!
 //! Enters: what the master finds. Leaves: a cause for each. It must never give two things one number: those that the
 //! master names are small, emergency codes of CiA 301 are 0x1000 and above.
 
 use sinew_hal::cia402::Fault;
-
-/// The master's own, each at its number.
-const CAUSES: [&str; 11] = [
-    "fault without an emergency object",
-    "not usable: configuration failed",
-    "no boot-up after the reset",
-    "wrong NMT state",
-    "restarted by itself",
-    "heartbeat lost",
-    "a transition of the power state machine did not happen",
-    "no feedback",
-    "left torque operation by itself",
-    "another node has sinew's own node id; change it, or `drives.master_node_id`",
-    "a limit or setting of the drive was changed from outside; the log names the object",
-];
-
-/// A drive fault's cause in words.
-pub fn cause_text(cause: u32) -> String {
-    match usize::try_from(cause).ok().and_then(|c| CAUSES.get(c)) {
-        Some(text) => (*text).to_owned(),
-        None => format!("emergency code {cause:04X}"),
-    }
-}
 
 pub(super) const NO_EMERGENCY: u32 = 0;
 pub(super) const NOT_USABLE: u32 = 1;

@@ -31,6 +31,7 @@ mod bus_thread;
 mod control_thread;
 mod deadlines;
 mod drive_causes;
+mod drive_faults;
 mod error;
 mod heart;
 mod link;
@@ -49,12 +50,11 @@ mod watch;
 
 pub use bus_thread::ENCODER_SOURCE_ID;
 pub use deadlines::overran;
-pub use drive_causes::cause_text;
 pub use error::DaemonError;
 pub use heart::Heart;
 pub use reach::ReachStatus;
-pub use records::{fault_of_code, refusal_text};
-pub use setup::{BusLoad, bus_loads, check, master_config, motor_bank};
+pub use records::{plan_into, refusal_text, warning_branch};
+pub use setup::{BusLoad, bus_loads, check, master_config, motor_bank, motor_channels};
 pub use statistics::{Percentiles, Stages};
 pub use threads::ThreadReport;
 pub use tick::{AutoRequests, FIRST_SYNC, SPEED, limits};
@@ -213,6 +213,7 @@ impl Daemon {
             buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
             required: config.obstacles.required.clone(),
             safe_hold: safe_hold_in_words(&config.drives.drives),
+            cables: config.arm.cable_names(),
         }));
         let progress = Arc::new(Progress::default());
         let mut daemon = {
@@ -255,11 +256,12 @@ impl Daemon {
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
         daemon.recording_failed = recorder.as_ref().map(Recorder::failed).unwrap_or_default();
         let (notes, after) = TickNotes::new(shared.clone());
-        let taps = Taps { pairs, notes, recorder };
+        let taps = Taps { pairs, notes, recorder, cables: config.arm.cable_names() };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
         let below = |steps: u8| if lockstep { 0 } else { config.timing.priority.saturating_sub(steps) };
         daemon.operator = Some(spawn("sinew-operator", below(3), {
-            let (progress, desk) = (progress.clone(), Desk::new(socket, direct, asks_status));
+            let (progress, desk) =
+                (progress.clone(), Desk::new(socket, direct, asks_status, config.obstacles.required.clone()));
             move || desk.run(&progress.operator_stop)
         })?);
         daemon.io = Some(spawn("sinew-io", below(2), {
@@ -502,7 +504,8 @@ fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError>
         return Err(DaemonError::StartTensions { why });
     }
     if let Some(cable) = tensions.iter().zip(&high).position(|(t, high)| !(low..=*high).contains(t)) {
-        let why = format!("{} N of cable {cable} is outside {low} to {} N", tensions[cable], high[cable]);
+        let name = config.arm.cable_names().words(cable);
+        let why = format!("{} N of {name} is outside {low} to {} N", tensions[cable], high[cable]);
         return Err(DaemonError::StartTensions { why });
     }
     settings.start_tensions_n.clone_from(tensions);

@@ -1,7 +1,7 @@
 //! A tip target out of reach, in numbers and words: for the status, alarms and answers of commands.
 
 use crate::control::Limit;
-use crate::ipc::payload::{State, SupervisorState};
+use crate::ipc::payload::{State, SupervisorState, TargetMode};
 use serde::{Deserialize, Serialize};
 
 /// By how much a tip target is out of reach.
@@ -54,6 +54,13 @@ impl ReachStatus {
     }
 }
 
+/// Whether it is being looked for how near the arm gets to the tip target that it follows.
+pub(super) fn is_sought(state: &State) -> bool {
+    state.supervisor == SupervisorState::Tracking.wire()
+        && state.target_mode == TargetMode::Tip.wire()
+        && state.reach_miss_m.is_nan()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,5 +88,14 @@ mod tests {
         );
         state.limits = 0;
         assert_eq!(ReachStatus::of(&state), None);
+        assert!(!is_sought(&state));
+        state = State {
+            target_mode: TargetMode::Tip.wire(),
+            supervisor: SupervisorState::Tracking.wire(),
+            ..State::default()
+        };
+        assert!(is_sought(&state));
+        state.reach_miss_m = 0.0;
+        assert!(!is_sought(&state));
     }
 }

@@ -1,13 +1,14 @@
 //! From the controller's own values to those of shared memory: records, answers, events. Copies only.
 
 use super::obstacles::{PairReader, unkey};
+use crate::config::WarningBranch;
 use crate::control::{Cause, Event, EventKind, Fault, Limit, Mode, Record, Refusal, Request, Target, Timing};
 use crate::ipc::payload::{
     MAX_CURVATURES, MAX_TRACKED, ObstacleDistance, PlannerBranch, PlannerStatus, RefusalReason, RequestKind, State,
     SupervisorState, TargetMode, TickTiming,
 };
 use crate::ipc::{Command, Reply};
-use crate::planner::{Branch, Status};
+use crate::planner::{Branch, Report, Status};
 
 /// The mode on the wire.
 pub fn supervisor_state(mode: Mode) -> SupervisorState {
@@ -107,16 +108,16 @@ pub fn reply(command: &Command, refusal: Option<Refusal>, mode: Mode, fault: Opt
     }
 }
 
-/// The fault of a code with the text of its kind, for whoever has only the record.
-pub fn fault_of_code(code: u32) -> Option<Fault> {
-    Fault::EXAMPLES.into_iter().find(|fault| fault.code() == code)
-}
-
 /// An event on the wire. Codes: a fault has its own (below 100), a limit its own (from 100) and 100 more where it ends,
 /// modes begin at 300 (detail: cause), requests at 400 (detail: 1 if refused).
 pub fn event(event: &Event) -> crate::ipc::Event {
+    let (mut flags, mut second) = (0, f64::NAN);
     let (code, detail, value, text) = match event.kind {
-        EventKind::Fault(fault) => (fault.code(), fault.detail(), value_of(&fault), fault.what()),
+        EventKind::Fault(fault) => {
+            let value;
+            ([value, second], flags) = (fault.values(), fault.flags());
+            (fault.code(), fault.detail(), value, fault.what())
+        }
         EventKind::LimitOn(limit) => (limit.code(), 0, 1.0, limit.text()),
         EventKind::LimitOff(limit) => (limit.code() + 100, 0, 0.0, limit_over(limit)),
         EventKind::Mode { to, cause, .. } => {
@@ -128,7 +129,7 @@ pub fn event(event: &Event) -> crate::ipc::Event {
             (400 + kind.wire(), u32::from(answer.refusal.is_some()), 0.0, kind.text())
         }
     };
-    crate::ipc::Event { time_ns: event.now_ns, tick: event.tick, code, detail, value, text }
+    crate::ipc::Event { time_ns: event.now_ns, tick: event.tick, code, detail, flags, value, second, text }
 }
 
 fn cause_code(cause: &Cause) -> u32 {
@@ -149,29 +150,6 @@ fn request_kind(request: Request) -> RequestKind {
         Request::Home => RequestKind::Home,
         Request::Stop => RequestKind::Stop,
         Request::Clear => RequestKind::Clear,
-    }
-}
-
-/// The number that a fault carries.
-fn value_of(fault: &Fault) -> f64 {
-    match *fault {
-        Fault::DriveFault { cause, .. } => f64::from(cause),
-        Fault::DrivesNotUp { after_s } | Fault::NotSettled { after_s } => after_s,
-        Fault::EncoderSilent { age_s, .. } => age_s,
-        Fault::EncoderJump { step_m, .. } => step_m,
-        Fault::EncoderStuck { motion_m, .. } => motion_m,
-        Fault::InnovationBound { innovation_rad } => innovation_rad,
-        Fault::InnovationGrowth { growth_rad } => growth_rad,
-        Fault::TensionOutside { tension_n, .. } => tension_n,
-        Fault::PlanSingular { count } | Fault::Overruns { count } => f64::from(count),
-        Fault::TensionError { error_n, .. } => error_n,
-        Fault::CableLength { error_m, .. } => error_m,
-        Fault::CablePull { factor, .. } => factor,
-        Fault::TipSpeed { speed_mps } => speed_mps,
-        Fault::BendRate { rate_radps } => rate_radps,
-        Fault::Swinging { swing_m } => swing_m,
-        Fault::Saturated { time_s, .. } => time_s,
-        _ => 0.0,
     }
 }
 
@@ -201,9 +179,12 @@ fn limit_over(limit: Limit) -> &'static str {
 /// in the warning subspace.
 pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: PlannerBranch, state: &mut State) {
     state.supervisor = supervisor_state(record.mode).wire();
-    state.fault_code = record.fault.map_or(0, |latched| latched.fault.code());
-    state.fault_detail = record.fault.map_or(0, |latched| latched.fault.detail());
-    plan_into(record, warning, state);
+    let fault = record.fault.map(|latched| latched.fault);
+    state.fault_code = fault.map_or(0, |fault| fault.code());
+    state.fault_detail = fault.map_or(0, |fault| fault.detail());
+    state.fault_values = fault.map_or([f64::NAN; 2], |fault| fault.values());
+    state.fault_flags = fault.map_or(0, |fault| fault.flags());
+    plan_into(record.plan.as_ref(), warning, state);
     state.target_mode = match record.target {
         None => 0,
         Some(Target::Tip { .. }) => TargetMode::Tip.wire(),
@@ -257,8 +238,20 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
         record.reach.map_or(unknown, |r| (r.miss_m, r.miss_rad, r.load, r.nearest_m.into()));
 }
 
-fn plan_into(record: &Record, warning: PlannerBranch, state: &mut State) {
-    let Some(plan) = record.plan else {
+/// The branch that plans in the warning subspace, on the wire.
+pub const fn warning_branch(warning: WarningBranch) -> PlannerBranch {
+    match warning {
+        WarningBranch::Swarm => PlannerBranch::Swarm,
+        WarningBranch::Seeded => PlannerBranch::Seeded,
+        WarningBranch::Complementarity => PlannerBranch::Complementarity,
+        WarningBranch::StandardSwarm => PlannerBranch::StandardSwarm,
+    }
+}
+
+/// Fills the planner's part of a state from its report; `None` where it did not run. A step that failed is told as such
+/// whatever was relaxed on its way: its tensions are those of the step before.
+pub fn plan_into(report: Option<&Report>, warning: PlannerBranch, state: &mut State) {
+    let Some(plan) = report else {
         state.planner_status = PlannerStatus::Idle.wire();
         state.planner_branch = PlannerBranch::None.wire();
         (state.newton_iterations, state.swarm_sweeps) = (0, 0);
@@ -343,14 +336,6 @@ mod tests {
         let texts: std::collections::BTreeSet<_> =
             all.iter().map(|r| refusal_reason(*r)).map(|(a, b)| refusal_text(a, b)).collect();
         assert_eq!(texts.len(), all.len());
-    }
-
-    #[test]
-    fn every_fault_code_leads_back_to_its_words() {
-        for fault in Fault::EXAMPLES {
-            assert_eq!(fault_of_code(fault.code()).map(|f| f.what()), Some(fault.what()));
-        }
-        assert!(fault_of_code(0).is_none());
     }
 
     #[test]

@@ -10,7 +10,7 @@ use sinew_hal::canopen::NodeId;
 use sinew_hal::cia402::objects::TORQUE_SLOPE;
 use sinew_hal::cia402::{DriveSetup, Identity, Layout, MasterConfig, ObjectWrite, Order};
 use sinew_hal::load::BitRates;
-use sinew_hal::motor_bank::{MotorBank, MotorChannel, Sense};
+use sinew_hal::motor_bank::{ChannelError, MotorBank, MotorChannel, Sense};
 
 /// Traffic of one bus as the configuration makes it.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,11 +67,19 @@ fn layout(layout: BusLayout) -> Layout {
     }
 }
 
-/// The motor bank. Encoders count from the straight arm: at 0 counts every cable has its length there.
+/// The motor bank.
 ///
 /// # Errors
 /// A drive that cannot give the arm's largest tension.
 pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
+    Ok(motor_channels(config)?)
+}
+
+/// The drives' channels. Encoders count from the straight arm: at 0 counts every cable has its length there.
+///
+/// # Errors
+/// A drive that cannot give the arm's largest tension.
+pub fn motor_channels(config: &Config) -> Result<MotorBank, ChannelError> {
     let arm = Arm::new(&config.arm);
     let mut lengths = vec![0.0; arm.cable_count()];
     arm.cable_lengths_into(&arm.straight(), &mut lengths);
@@ -92,9 +100,7 @@ pub fn motor_bank(config: &Config) -> Result<MotorBank, DaemonError> {
         };
         (channel, torque_permille_max(drive))
     };
-    Ok(MotorBank::new(
-        config.drives.drives.iter().zip(lengths).zip(config.arm.tension_maxima_n()).map(channel).collect(),
-    )?)
+    MotorBank::new(config.drives.drives.iter().zip(lengths).zip(config.arm.tension_maxima_n()).map(channel).collect())
 }
 
 /// What the drive is said to permit (per mille of its rated torque).

@@ -5,13 +5,18 @@
 
 use super::alarms::{Alarm, Alarms, Seen};
 use super::operator::{Address, OperatorError, Said, Word};
-use super::reach::ReachStatus;
+use super::reach::{self, ReachStatus};
 use super::statistics::{AfterSending, Stages, Statistics, Times};
 use super::threads::{Baseline, ThreadReport};
-use crate::ipc::payload::{RejectCause, SourceHealth, SourceReport, State, SupervisorState};
+use crate::config::CableNames;
+use crate::control::Fault;
+use crate::ipc::payload::{
+    AlarmRecord, ObstacleDistance, RejectCause, SourceHealth, SourceReport, State, SupervisorState,
+};
 use nalgebra::Matrix3;
 use rtrb::{Consumer, Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
+use sinew_hal::clock::seconds_to_ns;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::os::unix::net::UnixStream;
@@ -94,6 +99,32 @@ pub struct SourceStatus {
     pub rejected: BTreeMap<String, u64>,
 }
 
+/// How far the estimated arm is from an obstacle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DistanceStatus {
+    /// Source id.
+    pub source: u32,
+    /// Id within the source.
+    pub id: u32,
+    /// Smallest distance between the surfaces (m), growth not subtracted; negative: contact.
+    pub surface_distance_m: f64,
+    /// By how much the planner grew it (m).
+    pub growth_m: f64,
+}
+
+impl DistanceStatus {
+    /// Those of a record.
+    pub fn of(state: &State) -> Vec<Self> {
+        let one = |d: &ObstacleDistance| Self {
+            source: d.source_id,
+            id: d.obstacle_id,
+            surface_distance_m: d.surface_distance_m,
+            growth_m: d.growth_m,
+        };
+        state.distances.iter().take(state.distance_count as usize).map(one).collect()
+    }
+}
+
 /// Where the arm is, as far as it is known.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct TipStatus {
@@ -134,6 +165,8 @@ pub struct StatusReport {
     pub speed_scale: f64,
     /// By how much the tip target is out of reach; null where it is not.
     pub reach: Option<ReachStatus>,
+    /// Whether it is not known yet if the tip target that is followed is within reach.
+    pub reach_sought: bool,
     /// Ticks done.
     pub ticks: u64,
     /// Period (s).
@@ -165,6 +198,8 @@ pub struct StatusReport {
     pub obstacles: Vec<SourceStatus>,
     /// Obstacle sets refused because all places for sources are taken.
     pub obstacle_sources_refused: u64,
+    /// Obstacles that the loop knows.
+    pub distances: Vec<DistanceStatus>,
     /// Time per tick (us), by what it planned (`safe`, `warning`; `late` where it held or ramped because deadlines had been
     /// missed; `idle`), then by stage. `cycle` ends when the torques have left; `report` is what follows.
     pub time_us: BTreeMap<String, Stages>,
@@ -184,6 +219,8 @@ pub(crate) struct Fixed {
     pub(crate) required: Vec<u32>,
     /// What becomes of the cables without a master.
     pub(crate) safe_hold: String,
+    /// What its cables are called.
+    pub(crate) cables: CableNames,
 }
 
 /// What is set now and then.
@@ -228,14 +265,28 @@ pub(crate) struct TickNotes {
     period_ns: u64,
     kept: Vec<Times>,
     after: Consumer<AfterSending>,
+    /// The alarms as they were seen last.
+    alarms: Vec<AlarmRecord>,
 }
 
 impl TickNotes {
     /// With the control thread's end for what no record can tell.
     pub(crate) fn new(shared: Arc<Shared>) -> (Self, Producer<AfterSending>) {
-        let period_ns = if shared.fixed.lockstep { 0 } else { (1e9 * shared.fixed.period_s).round() as u64 };
+        let period_ns = if shared.fixed.lockstep { 0 } else { seconds_to_ns(shared.fixed.period_s) };
         let (to, after) = RingBuffer::new(KEPT);
-        (Self { shared, period_ns, kept: Vec::with_capacity(KEPT), after }, to)
+        (Self { shared, period_ns, kept: Vec::with_capacity(KEPT), after, alarms: Vec::new() }, to)
+    }
+
+    /// Adds the alarms to a record.
+    pub(crate) fn complete(&mut self, state: &mut State) {
+        if let Ok(alarms) = self.shared.alarms.try_lock() {
+            alarms.records_into(&mut self.alarms);
+        }
+        state.alarm_count = 0;
+        for (place, alarm) in state.alarms.iter_mut().zip(&self.alarms) {
+            *place = *alarm;
+            state.alarm_count += 1;
+        }
     }
 
     pub(crate) fn note(&mut self, state: &State) {
@@ -295,7 +346,7 @@ impl Shared {
             (inner.drives.clone(), inner.realtime_refused.clone())
         };
         let state = state.as_deref();
-        let fault = state.and_then(|s| fault_status(s.fault_code, s.fault_detail, drives.fault.as_deref()));
+        let fault = state.and_then(|s| fault_status(s, &self.fixed.cables));
         let (required, realtime_refused) = (&self.fixed.required[..], &realtime_refused[..]);
         let seen = Seen { state, fault, drives, required, realtime_refused, recording_failed };
         self.alarms.lock().unwrap_or_else(PoisonError::into_inner).update(&seen);
@@ -337,11 +388,12 @@ impl Shared {
             pid: std::process::id(),
             lockstep: fixed.lockstep,
             mode: mode_text(state.supervisor).into(),
-            fault: fault_status(state.fault_code, state.fault_detail, inner.drives.fault.as_deref()),
+            fault: fault_status(&state, &fixed.cables),
             alarms: self.alarms.lock().unwrap_or_else(PoisonError::into_inner).list(),
             tip: tip_status(&state),
             speed_scale: state.speed_scale,
             reach: ReachStatus::of(&state),
+            reach_sought: reach::is_sought(&state),
             ticks: done,
             period_s: fixed.period_s,
             missed: state.ticks_missed + overran,
@@ -360,6 +412,7 @@ impl Shared {
             target: source_status(&state.target_report),
             obstacles: state.obstacle_sources.iter().filter(used).map(source_status).collect(),
             obstacle_sources_refused: state.obstacle_sources_refused,
+            distances: DistanceStatus::of(&state),
             time_us,
             threads,
         }
@@ -390,24 +443,19 @@ fn mode_text(supervisor: u32) -> &'static str {
     SupervisorState::from_wire(supervisor).map_or("unknown", SupervisorState::text)
 }
 
-/// The fault of a record in words.
-pub fn fault_status(code: u32, detail: u32, drive: Option<&str>) -> Option<FaultStatus> {
+/// The latched fault of a record in words: what caused it, and not what is wrong by now.
+pub fn fault_status(state: &State, cables: &CableNames) -> Option<FaultStatus> {
+    let (code, detail) = (state.fault_code, state.fault_detail);
     if code == 0 {
         return None;
     }
-    let fault = super::records::fault_of_code(code);
-    let mut what = fault.map_or("a fault of another version of sinew", |f| f.what()).to_owned();
-    match code {
-        10 | 14 | 20..=24 | 40 | 41 | 63 => what += &format!(" (cable {detail})"),
-        13 => what += &format!(" (bus {detail})"),
-        42 | 50 => what += &format!(" ({detail})"),
-        _ => {}
-    }
-    if let (10..=13, Some(drive)) = (code, drive) {
-        what += &format!(": {drive}");
-    }
-    let clears = fault.map_or("see the documentation of that version", |f| f.remedy()).to_owned();
-    Some(FaultStatus { code, detail, what, clears })
+    let fault = Fault::of_parts(code, detail, state.fault_flags, state.fault_values);
+    Some(FaultStatus {
+        code,
+        detail,
+        what: fault.map_or("a fault of another version of sinew".into(), |fault| fault.in_words(cables)),
+        clears: fault.map_or("see the documentation of that version", |fault| fault.remedy()).to_owned(),
+    })
 }
 
 fn source_status(report: &SourceReport) -> SourceStatus {
@@ -463,7 +511,7 @@ pub fn ask(address: &Address) -> Result<Option<StatusReport>, OperatorError> {
     match address.ask(Word::Status, Duration::from_secs(5)) {
         Ok(Said::Status(report)) => Ok(Some(*report)),
         Ok(Said::Refused(why)) => Err(OperatorError::Refused { why }),
-        Ok(Said::Answer(_)) => Err(OperatorError::Refused { why: "an answer to something else".into() }),
+        Ok(Said::Answer(_) | Said::Taken) => Err(OperatorError::Refused { why: "an answer to something else".into() }),
         Err(OperatorError::NoDaemon(_)) => Ok(None),
         Err(error) => Err(error),
     }
@@ -484,12 +532,14 @@ mod tests {
             lockstep: true,
             period_s: 0.01,
             buses,
+            cables: CableNames::new([6; 4]),
             ..Fixed::default()
         }));
         let mut state = State {
             header: Header { tick: 41, ..Header::default() },
             fault_code: 20,
-            fault_detail: 3,
+            fault_detail: 7,
+            fault_values: [0.06, f64::NAN],
             ..State::default()
         };
         state.obstacle_sources[0].source_id = 7;
@@ -515,7 +565,7 @@ mod tests {
         assert_eq!(report.ticks, 42);
         assert_eq!(report.obstacles[0].rejected, BTreeMap::from([("NaN or infinite number".to_owned(), 2)]));
         let fault = report.fault.unwrap();
-        assert_eq!(fault.what, "an encoder is silent (cable 3)");
+        assert_eq!(fault.what, "the encoder of cable 2,2 has been silent for 0.060 s");
         assert!(fault.clears.contains("clear"));
     }
 

@@ -3,6 +3,8 @@
 use super::obstacles::PairBuilder;
 use super::status::TickNotes;
 use super::tick::{FIRST_SYNC, SPEED};
+use crate::config::CableNames;
+use crate::control::Fault;
 use crate::ipc::payload::{Obstacles, State, Target};
 use crate::ipc::{Event, Tap};
 use crate::recording::Recorder;
@@ -11,9 +13,15 @@ pub(crate) struct Taps {
     pub(crate) pairs: PairBuilder,
     pub(crate) notes: TickNotes,
     pub(crate) recorder: Option<Recorder>,
+    /// For the log.
+    pub(crate) cables: CableNames,
 }
 
 impl Tap for Taps {
+    fn complete(&mut self, state: &mut State) {
+        self.notes.complete(state);
+    }
+
     fn state(&mut self, state: &State) {
         self.notes.note(state);
         self.recorder.state(state);
@@ -34,14 +42,12 @@ impl Tap for Taps {
 
     fn event(&mut self, event: &Event) {
         match event.code {
-            0..100 => tracing::error!(
-                code = event.code,
-                detail = event.detail,
-                value = event.value,
-                tick = event.tick,
-                "fault: {}",
-                event.text
-            ),
+            0..100 => {
+                let parts = [event.value, event.second];
+                let fault = Fault::of_parts(event.code, event.detail, event.flags, parts);
+                let what = fault.map_or_else(|| event.text.to_owned(), |fault| fault.in_words(&self.cables));
+                tracing::error!(code = event.code, tick = event.tick, "fault: {what}");
+            }
             100..300 => tracing::info!(code = event.code, tick = event.tick, "{}", event.text),
             FIRST_SYNC => tracing::debug!(number = event.value, "{}", event.text),
             SPEED => tracing::info!(scale = event.value, tick = event.tick, "{}", event.text),

@@ -7,7 +7,7 @@ use super::obstacles::PairReader;
 use super::records;
 use super::statistics::Branch;
 use super::watch::Watch;
-use crate::config::{Config, LostAction, WarningBranch};
+use crate::config::{Config, LostAction};
 use crate::control::{
     Budget, CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand,
     ObstaclePair, Refusal, Request, Target, TargetInput, TickInputs, Timing,
@@ -18,6 +18,7 @@ use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
 use sinew_hal::clock::monotonic_ns;
+use sinew_hal::clock::seconds_to_ns;
 use sinew_hal::motor_bank::MotorBank;
 
 /// Thresholds of all inputs as the configuration has them.
@@ -195,14 +196,9 @@ impl<E: Estimator> Controller<E> {
             lookahead_s: config.planner.lookahead_s,
             period_ns: period_ns(config),
             stopping_since_ns: None,
-            stop_timeout_ns: (1e9 * config.timing.stop_timeout_s).round() as u64,
+            stop_timeout_ns: seconds_to_ns(config.timing.stop_timeout_s),
             gave_up: false,
-            warning: match config.planner.warning {
-                WarningBranch::Swarm => PlannerBranch::Swarm,
-                WarningBranch::StandardSwarm => PlannerBranch::StandardSwarm,
-                WarningBranch::Seeded => PlannerBranch::Seeded,
-                WarningBranch::Complementarity => PlannerBranch::Complementarity,
-            },
+            warning: records::warning_branch(config.planner.warning),
             torques: vec![0; cables],
             lengths: vec![f64::NAN; cables],
             measured: vec![f64::NAN; cables],
@@ -267,7 +263,16 @@ impl<E: Estimator> Controller<E> {
             // What lays a recording and the drives' own beside each other.
             let (time_ns, value) = (now_ns, cycle as f64);
             let text = "number of the SYNC of tick 0";
-            self.outputs.event(crate::ipc::Event { time_ns, tick: 0, code: FIRST_SYNC, detail: 0, value, text });
+            self.outputs.event(crate::ipc::Event {
+                time_ns,
+                tick: 0,
+                code: FIRST_SYNC,
+                detail: 0,
+                flags: 0,
+                value,
+                second: f64::NAN,
+                text,
+            });
         }
         self.publish(time);
         let fault = self.cycle.supervisor().latch().first.map(|latched| latched.fault);
@@ -333,7 +338,7 @@ impl<E: Estimator> Controller<E> {
     /// The target at the end of lookahead and lead, where the client has told that much of its path. Beyond it the
     /// cycle extrapolates by the rates.
     fn ahead(&self, track: &TargetTrack, now_ns: u64, limits: &InputLimits) -> Option<TargetSample> {
-        let lead_ns = (1e9 * self.cycle.lead_s()) as u64;
+        let lead_ns = seconds_to_ns(self.cycle.lead_s());
         track.sample(now_ns + lead_ns, limits).filter(|sample| sample.overrun_s <= 0.0)
     }
 
@@ -437,7 +442,9 @@ impl<E: Estimator> Controller<E> {
                 tick: time.tick,
                 code: SPEED,
                 detail: 0,
+                flags: 0,
                 value,
+                second: f64::NAN,
                 text,
             });
         }
@@ -454,7 +461,7 @@ fn can_come_up(drives: &DrivesInput) -> bool {
 
 /// The loop's period (ns).
 pub(crate) fn period_ns(config: &Config) -> u64 {
-    (1e9 * config.timing.period_s).round() as u64
+    seconds_to_ns(config.timing.period_s)
 }
 
 /// The planner's budget.

@@ -24,6 +24,8 @@ struct Bench {
 
 impl Bench {
     /// With a ball beside the arm that flies past, measured at [`NOW`].
+    /// Two of them do not fit into the stack of a test beside what makes them.
+    #[inline(never)]
     fn new(latency_ticks: usize) -> Self {
         let mut config = Config::parse(builtin_texts("drives.toml")).unwrap();
         config.observer.latency_ticks = latency_ticks;
@@ -77,6 +79,12 @@ impl Bench {
 
 #[test]
 fn the_planner_has_obstacles_where_they_are_when_its_tensions_act_and_the_record_where_they_are_at_the_tick() {
+    // Two controllers on one stack are more than a test's thread has.
+    let thread = std::thread::Builder::new().stack_size(16 << 20).spawn(planner_and_record).unwrap();
+    thread.join().unwrap();
+}
+
+fn planner_and_record() {
     let (mut without, mut late) = (Bench::new(0), Bench::new(3));
     let (period_s, lookahead_s) = (late.controller.period_ns as f64 * 1e-9, late.controller.lookahead_s);
     for (bench, latency_s) in [(&mut without, 0.0), (&mut late, 3.0 * period_s)] {

@@ -14,6 +14,7 @@ use crate::model::Arm;
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew_hal::clock::seconds_to_ns;
 
 /// Ticks at most until the twin holds, and in each of the tasks.
 const TICKS: u64 = 30;
@@ -86,7 +87,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
     let mut tick = 0;
     for (mut request, target, obstacles) in tasks {
         for _ in 0..TICKS {
-            let now_ns = (1e9 * period_s) as u64 * (tick + 1);
+            let now_ns = seconds_to_ns(period_s) * (tick + 1);
             let encoders =
                 EncoderReadings { lengths_m: &lengths, valid: CableMask::first(lengths.len()), capture_ns: now_ns };
             let target = target.map(|now| TargetInput { now, ahead: None, weight: 0.0, sequence: 0, fresh: true });

@@ -94,6 +94,8 @@ pub struct Observer {
     pub(super) small_b: Vec<f64>,
     pub(super) dx: Vec<f64>,
     pub(super) curvatures: [Vec<f64>; 2],
+    /// Coordinates as they were before a look.
+    pub(super) kept: Vec<f64>,
 }
 
 impl Observer {
@@ -143,6 +145,7 @@ impl Observer {
             small_b: vec![0.0; angles],
             dx: vec![0.0; BLOCK * n],
             curvatures: [vec![0.0; angles], vec![0.0; angles]],
+            kept: vec![0.0; 7 * arm.node_count()],
             arm,
         }
     }

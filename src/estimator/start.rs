@@ -29,6 +29,8 @@ pub enum StartError {
 /// Largest remaining bend angle of the chain that is accepted (rad).
 const SHAPE_TOLERANCE_RAD: f64 = 1e-9;
 const SHAPE_ITERATIONS_MAX: usize = 30;
+/// Beyond this (1/m) no arm is bent: a look has lost its way.
+const CURVATURE_MAX_1PM: f64 = 1e4;
 const STATIC_ITERATIONS_MAX: usize = 12;
 /// Newton's static corrections above this norm are not trusted beyond the first (m, 1).
 const CORRECTION_MAX: f64 = 0.5;
@@ -55,50 +57,83 @@ impl Observer {
         Ok(())
     }
 
+    /// Takes over the shape that the `lengths` (m) show of an arm at rest whose segments are bent evenly: for whoever looks
+    /// while nothing is estimated. One step from the last look, so that a shape is there after a few ticks, in the time of
+    /// a fraction of one; false, and nothing has changed, where the lengths show none. Does not allocate.
+    pub fn look(&mut self, lengths: &[f64]) -> bool {
+        if lengths.len() != self.arm.cable_count() || lengths.iter().any(|length| !length.is_finite()) {
+            return false;
+        }
+        self.space.select(|_| true);
+        self.kept.copy_from_slice(&self.state.q);
+        let stepped = self.shape_step(lengths);
+        if stepped.is_err() || self.curvatures[0].iter().any(|k| !k.is_finite() || k.abs() > CURVATURE_MAX_1PM) {
+            self.curvatures[0].fill(0.0);
+            self.state.q.copy_from_slice(&self.kept);
+            return false;
+        }
+        self.take_shape();
+        true
+    }
+
     /// Gauss-Newton on the curvatures; leaves the chain in `state`, at rest.
     fn shape(&mut self, lengths: &[f64]) -> Result<(), StartError> {
-        let n = self.space.angle_count();
         self.curvatures[0].fill(0.0);
         let mut innovation = f64::INFINITY;
         for _ in 0..SHAPE_ITERATIONS_MAX {
-            self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
-            self.arm.cable_lengths_into(&self.state.q, &mut self.length);
-            self.space.angles_into(&self.length, lengths, &mut self.z);
-            innovation = self.z.iter().fold(0.0, |a, z| a.max(z.abs()));
+            innovation = self.shape_step(lengths)?;
             if innovation < SHAPE_TOLERANCE_RAD {
                 break;
             }
-            for k in 0..n {
-                let h = 1e-6;
-                self.curvatures[0][k] += h;
-                self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
-                self.curvatures[0][k] -= h;
-                self.arm.cable_lengths_into(&self.state.q, &mut self.length);
-                self.space.angles_into(&self.length, lengths, &mut self.w);
-                for i in 0..n {
-                    self.small_a[i * n + k] = (self.w[i] - self.z[i]) / h;
-                }
-            }
-            // A segment whose cables are all silent keeps its curvature: unit row.
-            for i in 0..n {
-                if self.small_a[i * n..(i + 1) * n].iter().all(|j| *j == 0.0) {
-                    self.small_a[i * n + (i ^ 1)] = 1.0;
-                }
-            }
-            if !dense::solve_in_place(n, &mut self.small_a, &mut self.z) {
-                return Err(StartError::Shape { innovation_rad: innovation });
-            }
-            self.curvatures[0].iter_mut().zip(&self.z).for_each(|(k, d)| *k -= d);
         }
         if innovation.is_nan() || innovation >= 1e-6 {
             return Err(StartError::Shape { innovation_rad: innovation });
         }
-        self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+        self.take_shape();
         self.w.fill(0.0);
+        Ok(())
+    }
+
+    fn take_shape(&mut self) {
+        self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
         for v in [&mut self.state.qd, &mut self.state.qdd, &mut self.state.a, &mut self.state.lambda] {
             v.fill(0.0);
         }
-        Ok(())
+    }
+
+    /// One step of the above; the largest |z| before it (rad), below the tolerance without a step. Leaves the state's
+    /// coordinates anywhere.
+    fn shape_step(&mut self, lengths: &[f64]) -> Result<f64, StartError> {
+        let n = self.space.angle_count();
+        self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+        self.arm.cable_lengths_into(&self.state.q, &mut self.length);
+        self.space.angles_into(&self.length, lengths, &mut self.z);
+        let innovation = self.z.iter().fold(0.0, |a: f64, z| a.max(z.abs()));
+        if innovation < SHAPE_TOLERANCE_RAD {
+            return Ok(innovation);
+        }
+        for k in 0..n {
+            let h = 1e-6;
+            self.curvatures[0][k] += h;
+            self.arm.bent_into(&self.curvatures[0], &mut self.state.q);
+            self.curvatures[0][k] -= h;
+            self.arm.cable_lengths_into(&self.state.q, &mut self.length);
+            self.space.angles_into(&self.length, lengths, &mut self.w);
+            for i in 0..n {
+                self.small_a[i * n + k] = (self.w[i] - self.z[i]) / h;
+            }
+        }
+        // A segment whose cables are all silent keeps its curvature: unit row.
+        for i in 0..n {
+            if self.small_a[i * n..(i + 1) * n].iter().all(|j| *j == 0.0) {
+                self.small_a[i * n + (i ^ 1)] = 1.0;
+            }
+        }
+        if !dense::solve_in_place(n, &mut self.small_a, &mut self.z) {
+            return Err(StartError::Shape { innovation_rad: innovation });
+        }
+        self.curvatures[0].iter_mut().zip(&self.z).for_each(|(k, d)| *k -= d);
+        Ok(innovation)
     }
 
     /// Newton on `f - B (u + T beta) = 0`, `z = 0` in (q, lambda, beta). The first step gives beta; the others only

@@ -3,8 +3,9 @@
 //! Inputs are newest-value (triple buffers); commands, records, replies and events go through bounded rings. A full ring
 //! drops the new entry and counts it: the control thread never waits, and nothing behind it can stop it.
 
+use super::by_socket::{BySocket, ToSocket};
 use super::intake::{EncoderTable, ObstacleTable, TargetTrack};
-use super::payload::{RefusalReason, RequestKind, State, SupervisorState, Verdict};
+use super::payload::{RefusalReason, Request, RequestKind, State, SupervisorState, Verdict};
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
@@ -72,8 +73,12 @@ pub struct Event {
     pub code: u32,
     /// Index that belongs to it (cable, drive, source).
     pub detail: u32,
+    /// Bits that belong to it: those of a fault.
+    pub flags: u32,
     /// Number that belongs to it.
     pub value: f64,
+    /// Another one; NaN where there is none.
+    pub second: f64,
     /// What happened, in fixed words.
     pub text: &'static str,
 }
@@ -206,13 +211,18 @@ pub struct IoEnds {
     pub(crate) records: Consumer<State>,
     pub(crate) replies: Consumer<Reply>,
     pub(crate) events: Consumer<Event>,
+    pub(crate) by_socket: Consumer<BySocket>,
+    pub(crate) to_socket: Producer<ToSocket>,
 }
 
-/// The end of the direct way to the control thread, which shares nothing with the I/O thread and shared memory.
+/// The socket's end: of the direct way to the control thread, which shares nothing with the I/O thread and shared memory,
+/// and of the way to the I/O thread.
 #[derive(Debug)]
 pub struct DirectEnd {
     commands: Producer<Command>,
     replies: Consumer<Reply>,
+    to_io: Producer<BySocket>,
+    from_io: Consumer<ToSocket>,
     next: u64,
 }
 
@@ -230,9 +240,32 @@ impl DirectEnd {
     pub fn next_reply(&mut self) -> Option<Reply> {
         self.replies.pop().ok()
     }
+
+    /// Asks the I/O thread; the ticket of its answer. `None` if too much waits.
+    pub fn ask_io(&mut self, request: Request) -> Option<u64> {
+        let ticket = DIRECT | self.next;
+        self.to_io.push(BySocket::Ask(ticket, Box::new(request))).ok()?;
+        self.next += 1;
+        Some(ticket)
+    }
+
+    /// Hands something to the I/O thread, or gives it back if too much waits.
+    ///
+    /// # Errors
+    /// What was to be handed over.
+    pub fn hand_io(&mut self, what: BySocket) -> Result<(), BySocket> {
+        self.to_io.push(what).map_err(|rtrb::PushError::Full(what)| what)
+    }
+
+    /// The next word of the I/O thread; `None` if there is none.
+    pub fn next_from_io(&mut self) -> Option<ToSocket> {
+        self.from_io.pop().ok()
+    }
 }
 
-/// Makes all channels. Allocates everything that they ever use.
+/// Makes all channels. Allocates everything that they ever use. Tables pass over the stack on their way to the heap, which
+/// are half a megabyte: never together with the caller's own.
+#[inline(never)]
 pub fn channels(
     cable_count: usize,
     segment_count: usize,
@@ -248,6 +281,8 @@ pub fn channels(
     let (records_in, records_out) = RingBuffer::new(capacity.records);
     let (replies_in, replies_out) = RingBuffer::new(capacity.commands);
     let (events_in, events_out) = RingBuffer::new(capacity.events);
+    let (by_socket_in, by_socket_out) = RingBuffer::new(4 * capacity.commands);
+    let (to_socket_in, to_socket_out) = RingBuffer::new(4 * capacity.commands);
     (
         ControlInputs {
             encoders: encoders_out,
@@ -271,8 +306,16 @@ pub fn channels(
             records: records_out,
             replies: replies_out,
             events: events_out,
+            by_socket: by_socket_out,
+            to_socket: to_socket_in,
         },
-        DirectEnd { commands: direct_in, replies: direct_replies_out, next: 0 },
+        DirectEnd {
+            commands: direct_in,
+            replies: direct_replies_out,
+            to_io: by_socket_in,
+            from_io: to_socket_out,
+            next: 0,
+        },
     )
 }
 

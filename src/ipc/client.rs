@@ -12,11 +12,8 @@ use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// CLOCK_MONOTONIC (ns): the time base of all payloads, the same in every process of a computer.
-pub fn monotonic_ns() -> u64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
+/// The time base of all payloads, the same in every process of a computer.
+pub use sinew_hal::clock::monotonic_ns;
 
 /// How often a wait looks for what it waits for.
 const POLL: Duration = Duration::from_micros(200);

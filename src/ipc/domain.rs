@@ -57,6 +57,14 @@ impl Domain {
         [(PREFIX_VARIABLE, self.prefix.clone().into()), (ROOT_VARIABLE, self.root.clone().into())]
     }
 
+    /// Refuses names that no process can use.
+    ///
+    /// # Errors
+    /// [`IpcError::Name`].
+    pub fn check(&self) -> Result<(), IpcError> {
+        self.config().map(drop)
+    }
+
     fn config(&self) -> Result<Config, IpcError> {
         let mut config = Config::default();
         config.global.prefix = FileName::new(self.prefix.as_bytes()).map_err(|e| IpcError::Name {

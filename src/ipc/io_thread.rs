@@ -1,11 +1,12 @@
 //! Moves messages between the ports and the control thread's channels.
 
 use super::IpcError;
+use super::by_socket::{BySocket, SocketPort, ToSocket};
 use super::channels::{Command, Event, IoEnds, Reply};
 use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
 use super::payload::{
-    Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State, SupervisorState,
-    Target, Verdict, is_speed_scale, speed_text,
+    Header, Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State,
+    SupervisorState, Target, Verdict, is_speed_scale, speed_text,
 };
 use super::ports::{DaemonPorts, OpenRequest};
 use sinew_hal::clock::Naps;
@@ -43,6 +44,8 @@ pub struct IoLimits {
 
 /// Sees everything that passes, on the I/O thread: the recorder's place. Must not block.
 pub trait Tap: Send {
+    /// Adds to a tick's record what the loop does not know.
+    fn complete(&mut self, _state: &mut State) {}
     /// A tick's record.
     fn state(&mut self, _state: &State) {}
     /// An accepted obstacle set.
@@ -60,6 +63,10 @@ impl Tap for () {}
 
 /// A tap that may be absent: recording is a choice of the configuration.
 impl<T: Tap> Tap for Option<T> {
+    fn complete(&mut self, state: &mut State) {
+        self.iter_mut().for_each(|tap| tap.complete(state));
+    }
+
     fn state(&mut self, state: &State) {
         self.iter_mut().for_each(|tap| tap.state(state));
     }
@@ -109,6 +116,15 @@ impl Told {
     }
 }
 
+/// Who waits for an answer.
+#[derive(Debug)]
+enum Asker {
+    /// A client of shared memory.
+    Port(OpenRequest),
+    /// Somebody at the arm's socket, by the ticket.
+    Socket(u64),
+}
+
 /// The loop between ports and channels.
 #[derive(Debug)]
 pub struct IoThread<T: Tap = ()> {
@@ -118,7 +134,9 @@ pub struct IoThread<T: Tap = ()> {
     obstacles: ObstacleTable,
     target: TargetTrack,
     encoders: EncoderTable,
-    open: Vec<(Command, u64, OpenRequest)>,
+    open: Vec<(Command, u64, Asker)>,
+    /// Connections over the arm's socket by which something was published.
+    sockets: Vec<SocketPort>,
     next_ticket: u64,
     last: (u32, u32, u32),
     port_errors: u64,
@@ -142,6 +160,7 @@ impl<T: Tap> IoThread<T> {
             target,
             encoders,
             open,
+            sockets: Vec::new(),
             next_ticket: 0,
             last,
             port_errors: 0,
@@ -188,7 +207,7 @@ impl<T: Tap> IoThread<T> {
     /// a message sent meanwhile would come from the future.
     pub fn poll(&mut self, now: &impl Fn() -> u64) -> usize {
         let results = [self.move_records(), self.move_requests(now), self.move_inputs(now)];
-        let mut moved = 0;
+        let mut moved = self.move_sockets(now);
         for result in results {
             match result {
                 Ok(count) => moved += count,
@@ -207,7 +226,7 @@ impl<T: Tap> IoThread<T> {
     fn look_for_the_gone(&mut self) {
         let mut found = false;
         for port in self.obstacles.publishers().into_iter().filter(|port| *port != 0) {
-            if self.ports.may_replace_obstacles(port, 0) {
+            if self.has_left(port, |ports| ports.may_replace_obstacles(port, 0)) {
                 self.obstacles.set_gone(port);
                 found = true;
             }
@@ -217,23 +236,29 @@ impl<T: Tap> IoThread<T> {
             self.ends.obstacles.publish();
         }
         let port = self.target.publisher();
-        if port != 0 && self.ports.may_replace_target(port, 0) {
+        if port != 0 && self.has_left(port, |ports| ports.may_replace_target(port, 0)) {
             self.target.set_gone();
             self.ends.target.input_buffer_mut().copy_from(&self.target);
             self.ends.target.publish();
         }
     }
 
+    /// Whether a port is gone: one of the socket says so itself.
+    fn has_left(&self, port: u128, left: impl Fn(&DaemonPorts) -> bool) -> bool {
+        !self.sockets.iter().any(|socket| socket.id == port) && left(&self.ports)
+    }
+
     fn move_records(&mut self) -> Result<usize, IpcError> {
         let mut moved = 0;
         while moved < MOVED_PER_PASS
-            && let Ok(state) = self.ends.records.pop()
+            && let Ok(mut state) = self.ends.records.pop()
         {
             let before = std::mem::replace(&mut self.last, (state.supervisor, state.fault_code, state.fault_detail)).0;
             // Only on the change: clients give their targets before they arm.
             if is_armed(before) && !is_armed(state.supervisor) {
                 self.clear_target();
             }
+            self.tap.complete(&mut state);
             self.tap.state(&state);
             self.ports.publish_state(&state)?;
             moved += 1;
@@ -248,32 +273,19 @@ impl<T: Tap> IoThread<T> {
     }
 
     fn move_inputs(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
-        let Self { ports, ends, limits, obstacles, target, encoders, tap, told, .. } = self;
+        let Self { ports, ends, limits, obstacles, target, encoders, tap, told, sockets, .. } = self;
+        let living = |port: u128| sockets.iter().any(|socket| socket.id == port);
         let taken_obstacles = ports.take_obstacles(|message, port| {
-            let id = message.header.source_id;
-            if let Some(other) = obstacles.taken_by(id, port)
-                && ports.may_replace_obstacles(other, port)
-            {
-                obstacles.set_gone(other);
-            }
-            match obstacles.accept_from(message, port, now(), &limits.obstacles) {
-                Ok(()) => tap.obstacles(message),
-                Err(cause) => told.tell(id, cause),
-            }
+            let replaces = |other| !living(other) && ports.may_replace_obstacles(other, port);
+            let _ = take_set(obstacles, (tap, told), message, port, replaces, now(), &limits.obstacles);
         })?;
         if taken_obstacles > 0 {
             ends.obstacles.input_buffer_mut().copy_from(obstacles);
             ends.obstacles.publish();
         }
         let taken_targets = ports.take_targets(|message, port| {
-            if let Some(other) = target.taken_by(port)
-                && ports.may_replace_target(other, port)
-            {
-                target.set_gone();
-            }
-            if target.accept_from(message, port, now(), &limits.target).is_ok() {
-                tap.target(message);
-            }
+            let replaces = |other| !living(other) && ports.may_replace_target(other, port);
+            let _ = take_point(target, tap, message, port, replaces, now(), &limits.target);
         })?;
         if taken_targets > 0 {
             ends.target.input_buffer_mut().copy_from(target);
@@ -290,6 +302,83 @@ impl<T: Tap> IoThread<T> {
         Ok(taken_obstacles + taken_targets + taken_encoders)
     }
 
+    /// What has come over the arm's socket; how much that was.
+    fn move_sockets(&mut self, now: &impl Fn() -> u64) -> usize {
+        let mut moved = 0;
+        while moved < MOVED_PER_PASS
+            && let Ok(what) = self.ends.by_socket.pop()
+        {
+            moved += 1;
+            match what {
+                BySocket::Ask(ticket, request) => self.take_request(&request, Asker::Socket(ticket), now()),
+                BySocket::Obstacles(from, mut set) => {
+                    let now_ns = now();
+                    fill_capture(&mut set.header.capture_ns, now_ns);
+                    let fate = self.take_set_of(from, &set, now_ns);
+                    self.tell_socket(ToSocket::Fate(from, fate));
+                }
+                BySocket::Target(from, mut point) => {
+                    let now_ns = now();
+                    fill_capture(&mut point.header.capture_ns, now_ns);
+                    let fate = self.take_point_of(from, &point, now_ns);
+                    self.tell_socket(ToSocket::Fate(from, fate));
+                }
+                BySocket::Gone(from) => {
+                    self.sockets.retain(|socket| *socket != from);
+                    self.obstacles.set_gone(from.id);
+                    self.ends.obstacles.input_buffer_mut().copy_from(&self.obstacles);
+                    self.ends.obstacles.publish();
+                    if self.target.publisher() == from.id {
+                        self.target.set_gone();
+                        self.ends.target.input_buffer_mut().copy_from(&self.target);
+                        self.ends.target.publish();
+                    }
+                }
+            }
+        }
+        moved
+    }
+
+    /// Another port gives its id up to this one if it is gone, or of the same process.
+    fn replaces(&self, other: u128, by: SocketPort, left: impl Fn(&DaemonPorts) -> bool) -> bool {
+        match self.sockets.iter().find(|socket| socket.id == other) {
+            Some(socket) => by.pid != 0 && socket.pid == by.pid,
+            None => left(&self.ports),
+        }
+    }
+
+    fn take_set_of(&mut self, from: SocketPort, set: &Obstacles, now_ns: u64) -> Result<(), RejectCause> {
+        let other = self.obstacles.taken_by(set.header.source_id, from.id);
+        let may = other.is_some_and(|other| self.replaces(other, from, |ports| ports.may_replace_obstacles(other, 0)));
+        let Self { ends, limits, obstacles, tap, told, .. } = self;
+        let fate = take_set(obstacles, (tap, told), set, from.id, |_| may, now_ns, &limits.obstacles);
+        ends.obstacles.input_buffer_mut().copy_from(obstacles);
+        ends.obstacles.publish();
+        self.know(from, fate)
+    }
+
+    fn take_point_of(&mut self, from: SocketPort, point: &Target, now_ns: u64) -> Result<(), RejectCause> {
+        let other = self.target.taken_by(from.id);
+        let may = other.is_some_and(|other| self.replaces(other, from, |ports| ports.may_replace_target(other, 0)));
+        let Self { ends, limits, target, tap, .. } = self;
+        let fate = take_point(target, tap, point, from.id, |_| may, now_ns, &limits.target);
+        ends.target.input_buffer_mut().copy_from(target);
+        ends.target.publish();
+        self.know(from, fate)
+    }
+
+    fn know(&mut self, from: SocketPort, fate: Result<(), RejectCause>) -> Result<(), RejectCause> {
+        if fate.is_ok() && !self.sockets.contains(&from) {
+            self.sockets.push(from);
+        }
+        fate
+    }
+
+    /// Whoever does not hear in time asks again.
+    fn tell_socket(&mut self, what: ToSocket) {
+        let _ = self.ends.to_socket.push(what);
+    }
+
     fn move_requests(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
         let mut moved = 0;
         while let Ok(reply) = self.ends.replies.pop() {
@@ -302,7 +391,8 @@ impl<T: Tap> IoThread<T> {
             && let Some(request) = self.ports.next_request()?
         {
             moved += 1;
-            self.take_request(request, now());
+            let message = *request.payload();
+            self.take_request(&message, Asker::Port(request), now());
         }
         let now_ns = now();
         while let Some(place) = self.open.iter().position(|(_, since, _)| now_ns.saturating_sub(*since) > ANSWER_NS_MAX)
@@ -313,8 +403,7 @@ impl<T: Tap> IoThread<T> {
         Ok(moved)
     }
 
-    fn take_request(&mut self, request: OpenRequest, now_ns: u64) {
-        let message: Request = *request.payload();
+    fn take_request(&mut self, message: &Request, asker: Asker, now_ns: u64) {
         let ticket = self.next_ticket;
         self.next_ticket += 1;
         let kind = RequestKind::from_wire(message.kind);
@@ -324,7 +413,7 @@ impl<T: Tap> IoThread<T> {
         } else if kind.is_none() {
             Some((RefusalReason::UnknownRequest, message.kind))
         } else if kind == Some(RequestKind::SetTarget) {
-            self.take_target(&message.target, now_ns).err().map(|cause| (RefusalReason::BadTarget, cause.wire()))
+            self.take_target(message.target, now_ns).err().map(|cause| (RefusalReason::BadTarget, cause.wire()))
         } else if kind == Some(RequestKind::Speed) && !is_speed_scale(message.speed_scale) {
             Some((RefusalReason::BadSpeed, 0))
         } else {
@@ -334,17 +423,18 @@ impl<T: Tap> IoThread<T> {
             self.forget_expired(now_ns);
         }
         if let Some((reason, detail)) = refused {
-            return self.answer(&request, Reply { detail, ..self.refusal(&command, reason) });
+            return self.answer(&asker, Reply { detail, ..self.refusal(&command, reason) });
         }
         match self.ends.commands.push(command) {
-            Ok(()) => self.open.push((command, now_ns, request)),
-            Err(_) => self.answer(&request, self.refusal(&command, RefusalReason::Busy)),
+            Ok(()) => self.open.push((command, now_ns, asker)),
+            Err(_) => self.answer(&asker, self.refusal(&command, RefusalReason::Busy)),
         }
     }
 
-    fn take_target(&mut self, target: &Target, now_ns: u64) -> Result<(), RejectCause> {
-        self.target.accept(target, now_ns, &self.limits.target)?;
-        self.tap.target(target);
+    fn take_target(&mut self, mut target: Target, now_ns: u64) -> Result<(), RejectCause> {
+        fill_capture(&mut target.header.capture_ns, now_ns);
+        self.target.accept(&target, now_ns, &self.limits.target)?;
+        self.tap.target(&target);
         self.ends.target.input_buffer_mut().copy_from(&self.target);
         self.ends.target.publish();
         Ok(())
@@ -376,9 +466,14 @@ impl<T: Tap> IoThread<T> {
         Reply { fault_code: self.last.1, fault_detail: self.last.2, ..Reply::refused(command, supervisor, reason) }
     }
 
-    fn answer(&self, request: &OpenRequest, reply: Reply) {
+    fn answer(&mut self, asker: &Asker, reply: Reply) {
+        let asked = match asker {
+            Asker::Port(request) => Some(request.payload()),
+            Asker::Socket(_) => None,
+        };
+        let speed = asked.filter(|asked| asked.kind == RequestKind::Speed.wire()).map(|asked| asked.speed_scale);
         let mut response = Response {
-            header: request.payload().header,
+            header: asked.map_or_else(Header::default, |asked| asked.header),
             verdict: reply.verdict.wire(),
             reason: reply.reason.wire(),
             detail: reply.detail,
@@ -388,10 +483,10 @@ impl<T: Tap> IoThread<T> {
             ..Response::default()
         };
         match (reply.verdict, reply.reason, RejectCause::from_wire(reply.detail)) {
-            (Verdict::Accepted, ..) if request.payload().kind == RequestKind::Speed.wire() => {
-                response.set_text(&speed_text(reply.supervisor, request.payload().speed_scale));
-            }
-            (Verdict::Accepted, ..) => response.set_text(reply.supervisor.text()),
+            (Verdict::Accepted, ..) => match speed {
+                Some(scale) => response.set_text(&speed_text(reply.supervisor, scale)),
+                None => response.set_text(reply.supervisor.text()),
+            },
             (_, RefusalReason::BadTarget, Some(cause)) => {
                 response.set_text(&format!("{}: {}", reply.reason.text(), cause.text()));
             }
@@ -400,9 +495,14 @@ impl<T: Tap> IoThread<T> {
             }
             _ => response.set_text(reply.reason.text()),
         }
-        // A client that has gone does not wait for its answer.
-        if let Err(error) = request.send_copy(response) {
-            tracing::debug!(?error, "answer not delivered");
+        match asker {
+            // A client that has gone does not wait for its answer.
+            Asker::Port(request) => {
+                if let Err(error) = request.send_copy(response) {
+                    tracing::debug!(?error, "answer not delivered");
+                }
+            }
+            Asker::Socket(ticket) => self.tell_socket(ToSocket::Answer(*ticket, response)),
         }
     }
 }
@@ -410,4 +510,53 @@ impl<T: Tap> IoThread<T> {
 /// Whether the arm is on its way to tension, under tension, or on its way out of it in order.
 fn is_armed(supervisor: u32) -> bool {
     ![SupervisorState::Disarmed, SupervisorState::Faulted].map(SupervisorState::wire).contains(&supervisor)
+}
+
+/// Whoever leaves the time to the daemon, whose clock it may not know, has seen it just now.
+fn fill_capture(capture_ns: &mut u64, now_ns: u64) {
+    if *capture_ns == 0 {
+        *capture_ns = now_ns;
+    }
+}
+
+/// Takes over a set of obstacles; `replaces` tells whether this port may have the id of that one.
+fn take_set<T: Tap>(
+    obstacles: &mut ObstacleTable,
+    (tap, told): (&mut T, &mut Told),
+    message: &Obstacles,
+    port: u128,
+    replaces: impl Fn(u128) -> bool,
+    now_ns: u64,
+    limits: &InputLimits,
+) -> Result<(), RejectCause> {
+    let id = message.header.source_id;
+    if let Some(other) = obstacles.taken_by(id, port)
+        && replaces(other)
+    {
+        obstacles.set_gone(other);
+    }
+    let fate = obstacles.accept_from(message, port, now_ns, limits);
+    match fate {
+        Ok(()) => tap.obstacles(message),
+        Err(cause) => told.tell(id, cause),
+    }
+    fate
+}
+
+/// The same of a point of the desired motion.
+fn take_point<T: Tap>(
+    target: &mut TargetTrack,
+    tap: &mut T,
+    message: &Target,
+    port: u128,
+    replaces: impl Fn(u128) -> bool,
+    now_ns: u64,
+    limits: &InputLimits,
+) -> Result<(), RejectCause> {
+    if let Some(other) = target.taken_by(port)
+        && replaces(other)
+    {
+        target.set_gone();
+    }
+    target.accept_from(message, port, now_ns, limits).inspect(|()| tap.target(message))
 }

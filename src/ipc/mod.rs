@@ -5,6 +5,7 @@
 //! from triple buffers and writes its records to bounded rings, both wait-free; what finds a ring full is counted and
 //! dropped. Nothing here may delay or fail the loop.
 
+mod by_socket;
 mod channels;
 mod client;
 mod domain;
@@ -16,6 +17,7 @@ mod ports;
 pub(crate) mod run_dir;
 mod service;
 
+pub use by_socket::*;
 pub use channels::*;
 pub use client::*;
 pub use domain::{Domain, PREFIX_VARIABLE, ROOT_VARIABLE};

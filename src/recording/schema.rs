@@ -3,8 +3,8 @@
 use super::cdr::{Fields, Sink};
 use crate::ipc::Event;
 use crate::ipc::payload::{
-    Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus, SourceHealth,
-    SourceReport, State, SupervisorState, Target, TargetMode, TickTiming,
+    AlarmRecord, Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, PlannerBranch, PlannerStatus,
+    SourceHealth, SourceReport, State, SupervisorState, Target, TargetMode, TickTiming,
 };
 
 macro_rules! constants {
@@ -45,6 +45,20 @@ impl Fields for Node {
     fn visit(&self, sink: &mut impl Sink) {
         sink.array("position_m", &self.position_m);
         sink.array("quaternion", &self.quaternion);
+    }
+}
+
+impl Fields for AlarmRecord {
+    const NAME: &'static str = "AlarmRecord";
+
+    fn sample() -> Self {
+        Self::default()
+    }
+
+    fn visit(&self, sink: &mut impl Sink) {
+        sink.u32("code", self.code);
+        sink.u32("subject", self.subject);
+        sink.u64("since_ns", self.since_ns);
     }
 }
 
@@ -172,6 +186,9 @@ impl Fields for State {
         sink.f64("reach_miss_rad", self.reach_miss_rad);
         sink.f64("reach_load", self.reach_load);
         sink.array("reach_nearest_m", &self.reach_nearest_m);
+        sink.numbers("fault_values", &self.fault_values);
+        sink.u32("fault_flags", self.fault_flags);
+        sink.messages("alarms", first(&self.alarms, self.alarm_count));
     }
 }
 
@@ -251,7 +268,7 @@ impl Fields for Event {
     const NAME: &'static str = "Event";
 
     fn sample() -> Self {
-        Self { time_ns: 0, tick: 0, code: 0, detail: 0, value: 0.0, text: "" }
+        Self { time_ns: 0, tick: 0, code: 0, detail: 0, flags: 0, value: 0.0, second: 0.0, text: "" }
     }
 
     fn visit(&self, sink: &mut impl Sink) {
@@ -259,7 +276,9 @@ impl Fields for Event {
         sink.u64("tick", self.tick);
         sink.u32("code", self.code);
         sink.u32("detail", self.detail);
+        sink.u32("flags", self.flags);
         sink.f64("value", self.value);
+        sink.f64("second", self.second);
         sink.text("text", self.text);
     }
 }

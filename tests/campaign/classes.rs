@@ -43,13 +43,17 @@ pub struct Class {
     pub drives: &'static [&'static str],
     /// Faults on the wire.
     pub wire: &'static [&'static str],
+    /// Other users have roles in it: [`CAMERA`] may publish obstacles.
+    pub roles: bool,
+    /// Where the daemon records to.
+    pub record: Option<Disk>,
     /// Time for the outcome beyond the usual (s).
     pub waits_s: f64,
     pub does: fn(&mut Trial),
 }
 
 const fn class(name: &'static str, expect: Expect, does: fn(&mut Trial)) -> Class {
-    Class { name, expect, root: false, drives: &[], wire: &[], waits_s: 0.0, does }
+    Class { name, expect, root: false, drives: &[], wire: &[], roles: false, record: None, waits_s: 0.0, does }
 }
 
 const fn late(name: &'static str, expect: Expect, does: fn(&mut Trial)) -> Class {
@@ -68,6 +72,17 @@ const fn drive(name: &'static str, expect: Expect, drives: &'static [&'static st
     Class { drives, waits_s: 2.5, ..class(name, expect, nothing) }
 }
 
+/// What a recording is written to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Disk {
+    /// A folder of the trial.
+    Folder,
+    /// A disk of a megabyte.
+    Small,
+}
+
+/// A user that may publish obstacles where there are roles.
+pub const CAMERA: u32 = 54_323;
 /// A user that is nobody's.
 const STRANGER: u32 = 54_321;
 
@@ -96,6 +111,11 @@ pub static CLASSES: &[Class] = &[
     class("unfinished files in shared memory", Expect::GoesOn, unfinished_files),
     class("a segment cut short", Expect::Safe, cut_management),
     class("links in shared memory", Expect::GoesOn, links),
+    class("shared memory full", Expect::Safe, fill_shared_memory),
+    class("client in another time namespace", Expect::Safe, other_time),
+    // Disks.
+    Class { record: Some(Disk::Folder), ..class("folder of the recording removed", Expect::GoesOn, remove_recording) },
+    Class { record: Some(Disk::Small), ..by_root("disk of the recording full", Expect::GoesOn, nothing) },
     // Users.
     by_root("stranger asks over the socket", Expect::GoesOn, |t| strangers(t, &["stop", "hold", "disarm", "status"])),
     by_root("stranger asks over shared memory", Expect::GoesOn, |t| strangers(t, &["arm", "track", "home", "clear"])),
@@ -130,6 +150,74 @@ pub static CLASSES: &[Class] = &[
     by_root("stranger burns the processors", Expect::Safe, |t| {
         stranger_script(t, "for i in 1 2 3 4 5 6 7 8; do timeout 1 sh -c 'while :; do :; done' & done");
     }),
+    by_root("stranger gives a target", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "\"$SINEW\" target --pose 1,0,-1,1,0,0,0; echo 'target {\"position_m\":[1,0,0],\"quaternion\":[1,0,0,0]}' | talk",
+        );
+    }),
+    by_root("stranger publishes over the socket", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "for w in 'obstacles 181' 'obstacles 77' 'targets 12'; do printf 'publish %s\\n{}\\n{}\\n' \"$w\" | talk; done",
+        );
+    }),
+    by_root("stranger presses the emergency stop", Expect::GoesOn, |t| {
+        strangers(t, &["emergency-stop", "clear", "home", "disarm"]);
+    }),
+    by_root("stranger holds connections open", Expect::GoesOn, |t| {
+        stranger_script(t, "for i in $(seq 60); do (sleep 1 | talk) & done; wait");
+    }),
+    by_root("stranger sends rubbish", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "for i in $(seq 10); do head -c 300000 /dev/urandom | talk; yes stop | head -c 200000 | talk; done",
+        );
+    }),
+    by_root("stranger runs a daemon of the same arm", Expect::GoesOn, |t| {
+        stranger_script(t, "timeout 2 \"$SINEW\" run");
+    }),
+    by_root("stranger runs a plant on the same bus", Expect::GoesOn, |t| {
+        stranger_script(t, "timeout 1 sh -c 'exec \"$SINEW\" demo tip --fast --duration 0.1 --can $BUS'");
+    }),
+    by_root("stranger makes folders and links in the way", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "mkdir \"$FOLDER/run/other\" \"$FOLDER/ipc\"; ln -s /etc/passwd /dev/shm/${PREFIX}z.data; mkdir /dev/shm/${PREFIX}d; \
+             mkfifo /dev/shm/${PREFIX}f.data; mv \"$SOCKET\" /tmp",
+        );
+    }),
+    by_root("stranger changes limits and scheduling", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "renice 19 -p $DAEMON; prlimit --pid $DAEMON --nofile=3; taskset -p 1 $DAEMON; chrt -i -p 0 $DAEMON; \
+             echo 15 > /proc/$DAEMON/oom_score_adj; cat /proc/$DAEMON/mem /proc/$DAEMON/fd/*",
+        );
+    }),
+    by_root("stranger takes names of sockets", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "timeout 1 python3 -c \"import socket,time;s=[socket.socket(socket.AF_UNIX) for _ in range(9)];[x.bind(chr(0)+n) for x,n in \
+             zip(s,['sinew','sinew-paper','sinew/paper','sinew/paper/control','paper','control','sinew0','iox2_','sinew-run'])];time.sleep(1)\"",
+        );
+    }),
+    by_root("stranger with a domain of his own", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "export SINEW_IPC_PREFIX=$PREFIX SINEW_IPC_ROOT=/tmp/stranger-$DAEMON/; \"$SINEW\" obstacles list; rm -rf /tmp/stranger-$DAEMON",
+        );
+    }),
+    by_root("stranger kills and stops clients", Expect::GoesOn, |t| {
+        stranger_script(
+            t,
+            "for p in $(ls /proc | grep '^[0-9]*$'); do [ $p = $$ ] || kill -STOP $p; [ $p = $$ ] || kill -KILL $p; done",
+        );
+    }),
+    by_root("stranger fills the process table", Expect::Safe, |t| {
+        stranger_script(t, "ulimit -p 200; for i in $(seq 150); do sleep 1 & done; wait");
+    }),
+    Class { roles: true, ..by_root("a camera oversteps", Expect::GoesOn, oversteps) },
+    Class { roles: true, ..by_root("a camera of another user is killed", Expect::Holds, camera_by_socket) },
     by_root("root's clients", Expect::GoesOn, roots_clients),
     // Load.
     class("16 busy threads", Expect::Safe, busy),
@@ -307,15 +395,84 @@ fn stranger_script(t: &mut Trial, script: &str) {
     let wrapper = t.place.folder.path().join("sinew-of-a-stranger");
     let files: Vec<String> = t.place.files.iter().map(|f| f.display().to_string()).collect();
     let text = format!("#!/bin/sh\nexec {} \"$@\" --config {}\n", env!("CARGO_BIN_EXE_sinew"), files.join(" "));
+    // Says what it reads to the arm's socket.
+    let script = format!(
+        "talk() {{ python3 -c 'import os,socket,sys\ns=socket.socket(socket.AF_UNIX)\ns.connect(os.environ[\"SOCKET\"])\n\
+         try: s.sendall(sys.stdin.buffer.read()); s.settimeout(1); s.recv(9999)\nexcept OSError: pass'; }}\n{script}"
+    );
     std::fs::write(&wrapper, text).unwrap();
     std::fs::set_permissions(&wrapper, std::fs::Permissions::from_mode(0o755)).unwrap();
     let socket = std::fs::read_dir(t.place.run.join("paper")).unwrap().flatten().next().unwrap().path();
     let mut command = Command::new("sh");
-    command.args(["-c", script]).env("SINEW", wrapper).env("PREFIX", t.place.prefix()).env("BUS", &t.place.bus);
+    command.args(["-c", &script]).env("SINEW", wrapper).env("PREFIX", t.place.prefix()).env("BUS", &t.place.bus);
     command.env("SOCKET", socket).env("FOLDER", t.place.folder.path()).env("DAEMON", t.daemon.id().to_string());
     command.uid(STRANGER).gid(STRANGER).stdout(Stdio::null()).stderr(Stdio::null());
     let child = command.spawn().unwrap();
     t.keep(child).wait().unwrap();
+}
+
+/// What a user who may publish obstacles does beyond that.
+fn oversteps(t: &mut Trial) {
+    open_to_all(t);
+    let tries: [&[&str]; 7] = [
+        &["stop"],
+        &["arm"],
+        &["track"],
+        &["clear"],
+        &["target", "--pose", "1,0,-1,1,0,0,0"],
+        &["emergency-stop"],
+        &["status"],
+    ];
+    for words in tries {
+        let mut command = t.place.sinew(words);
+        command.uid(CAMERA).gid(CAMERA).stdout(Stdio::null()).stderr(Stdio::null());
+        assert_ne!(t.keep(command.spawn().unwrap()).wait().unwrap().code(), Some(0), "{words:?}");
+    }
+    // Under the id of the daemon's own camera, which has it, and under one of its own, which it leaves in order.
+    for (source, code) in [("181", 1), ("77", 0)] {
+        let mut command = t.place.sinew(&["obstacles", "inject", "--for", "0.5", "--source", source]);
+        command.uid(CAMERA).gid(CAMERA).stdout(Stdio::null()).stderr(Stdio::null());
+        assert_eq!(t.keep(command.spawn().unwrap()).wait().unwrap().code(), Some(code), "{source}");
+    }
+}
+
+fn camera_by_socket(t: &mut Trial) {
+    open_to_all(t);
+    let mut command = t.place.sinew(&["obstacles", "inject", "--ball", "0.3,0.1,-1,0.05", "--source", "77"]);
+    command.uid(CAMERA).gid(CAMERA).stdout(Stdio::null()).stderr(Stdio::null());
+    let camera = command.spawn().unwrap();
+    let camera = t.keep(camera);
+    std::thread::sleep(Duration::from_millis(500));
+    camera.kill().unwrap();
+    camera.wait().unwrap();
+    std::thread::sleep(Duration::from_millis(1100));
+}
+
+/// Fills /dev/shm where it is the campaign's own (`tests/campaign/run` mounts it), for as long as the trial lasts.
+fn fill_shared_memory(t: &mut Trial) {
+    if std::env::var_os("SINEW_CAMPAIGN_OWN_SHM").is_none() {
+        return;
+    }
+    let path = t.place.filler();
+    let mut file = File::create(&path).unwrap();
+    let block = vec![1; 1 << 20];
+    while file.write_all(&block).is_ok() {}
+    t.helper(&["obstacles", "list"]);
+    t.pause(100, 500);
+    // The rest of the trial needs what it makes anew.
+    std::fs::remove_file(path).unwrap();
+}
+
+fn other_time(t: &mut Trial) {
+    let program = t.place.sinew(&["obstacles", "inject", "--source", "77", "--for", "0.5"]);
+    let mut command = Command::new("unshare");
+    command.args(["--time", "--monotonic", "5000000", "--fork"]).arg(program.get_program()).args(program.get_args());
+    let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let _ = t.keep(child).wait();
+}
+
+fn remove_recording(t: &mut Trial) {
+    std::fs::remove_dir_all(t.place.folder.path().join("recordings")).unwrap();
 }
 
 fn roots_clients(t: &mut Trial) {
@@ -436,7 +593,8 @@ fn coming_and_leaving(t: &mut Trial) {
 
 fn unknown_requests(t: &mut Trial) {
     let mut client = t.place.client();
-    for kind in [0, 10, 77, u32::MAX] {
+    let beyond = RequestKind::ALL.iter().map(|kind| kind.wire()).max().unwrap() + 1;
+    for kind in [0, beyond, 77, u32::MAX] {
         let request = Request { kind, ..Request::new(RequestKind::Status) };
         assert!(!client.request(request, Duration::from_secs(5)).unwrap().is_accepted());
     }

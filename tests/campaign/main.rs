@@ -10,7 +10,7 @@ mod classes;
 #[path = "../daemon_support/mod.rs"]
 mod support;
 
-use classes::{CLASSES, Class, Expect};
+use classes::{CAMERA, CLASSES, Class, Disk, Expect};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::config::Config;
@@ -30,8 +30,14 @@ use support::*;
 
 /// The camera's ball: beside the arm, off its path.
 const BALL: ([f64; 3], f64) = ([0.28, 0.05, -2.1], 0.1);
-/// What nothing takes longer than.
-const HANG: Duration = Duration::from_secs(20);
+/// What nothing takes longer than: beyond it is a hang, and told as such.
+const HANG: Duration = Duration::from_secs(2);
+/// One stop in so many is waited for until the arm rests.
+const WHOLE_STOPS: u64 = 6;
+/// Longest time from the order of a stop to drives without torque.
+const REST: Duration = Duration::from_secs(60);
+/// Longest wait where that has been told.
+const WAITS: Duration = Duration::from_secs(20);
 
 /// Everything of one trial, for a class to lay hands on.
 pub struct Trial {
@@ -130,21 +136,47 @@ struct Found {
     wrong: Vec<String>,
 }
 
-fn place() -> Place {
-    Place::new(|_, text| {
+fn place(class: &Class) -> Place {
+    let (roles, small) = (class.roles, class.record == Some(Disk::Small));
+    Place::new(|file, text| {
+        let access = format!("\n[access]\npublish = [\"{CAMERA}\"]\n");
+        let text = if roles && file == "drives.toml" { text + &access } else { text };
+        let text = if small && file == "drives.toml" { text + "\n[recording]\nfree_mib = 0\n" } else { text };
         text.replace("heartbeat_timeout_s = 3.0", "heartbeat_timeout_s = 0.5")
             .replace("sync_timeout_s = 3.0", "sync_timeout_s = 0.5")
     })
 }
 
+/// The daemon, with the recording of its class.
+fn recording(class: &Class, place: &Place) -> std::process::Command {
+    let path = place.folder.path().join("recordings");
+    let text = path.display().to_string();
+    match class.record {
+        None => place.sinew(&["run"]),
+        Some(Disk::Folder) => {
+            std::fs::create_dir(&path).unwrap();
+            place.sinew(&["run", "--record", &text])
+        }
+        Some(Disk::Small) => {
+            std::fs::create_dir(&path).unwrap();
+            let run = place.sinew(&["run", "--record", &text]);
+            let mut command = std::process::Command::new("unshare");
+            let mount = format!("mount -t tmpfs -o size=1m tmpfs {text} && exec \"$@\"");
+            command.args(["--mount", "--propagation", "private", "sh", "-c", &mount, "sh"]);
+            command.arg(run.get_program()).args(run.get_args());
+            command
+        }
+    }
+}
+
 fn trial(class: &Class, seed: u64) -> Found {
     let mut found = Found::default();
-    let place = place();
+    let place = place(class);
     let config = place.config();
     let trace = place.folder.path().join("truth.mcap");
     let plant = Plant::start_traced(&place, class.drives, class.wire, &trace);
     let said = place.folder.path().join("daemon.log");
-    let mut run = place.sinew(&["run"]);
+    let mut run = recording(class, &place);
     let daemon = run.stderr(std::fs::File::create(&said).unwrap()).spawn().unwrap();
     place.until("a first tick", |s| s.ticks > 0);
     let ball = format!("{},{},{},{}", BALL.0[0], BALL.0[1], BALL.0[2], BALL.1);
@@ -171,7 +203,7 @@ fn trial(class: &Class, seed: u64) -> Found {
     let deadline = Instant::now() + Duration::from_secs(8);
     loop {
         let begun = Instant::now();
-        found.mode = match address.ask(Word::Status, HANG) {
+        found.mode = match address.ask(Word::Status, WAITS) {
             Ok(Said::Status(report)) => Some(report.mode),
             Err(OperatorError::NoDaemon(_) | OperatorError::Io { .. } | OperatorError::Garbled { .. }) => None,
             other => {
@@ -188,7 +220,11 @@ fn trial(class: &Class, seed: u64) -> Found {
         std::thread::sleep(Duration::from_millis(20));
     }
     let ordered = Instant::now();
-    match address.ask(Word::Stop, HANG) {
+    let stopped = address.ask(Word::Stop, WAITS);
+    if ordered.elapsed() > HANG {
+        found.wrong.push(format!("stop took {:.1} s", ordered.elapsed().as_secs_f64()));
+    }
+    match stopped {
         Ok(Said::Answer(answer)) => {
             found.stop_ms = Some(1e3 * ordered.elapsed().as_secs_f64());
             // Refused where the arm does not move: in a fault, or disarmed.
@@ -199,10 +235,17 @@ fn trial(class: &Class, seed: u64) -> Found {
         Err(_) if class.expect == Expect::Gone => {}
         other => found.wrong.push(format!("stop: {other:?}")),
     }
+    // A stop is a motion of many seconds, which most trials cut short.
+    let mut until = Until::of(class, begun_ns);
+    if !seed.is_multiple_of(WHOLE_STOPS) && found.stop_ms.is_some() {
+        trial.pause(50, 400);
+        until.first_ns = Some(until.first_ns.unwrap_or(u64::MAX).min(monotonic_ns()));
+        let _ = address.ask(Word::Disarm, WAITS);
+    }
     end(&mut trial, class, &mut found);
     // The ramp, or the drives' own guards, have had their time.
     plant.stop();
-    judge(&trace, &config, &Until::of(class, begun_ns), &mut found);
+    judge(&trace, &config, &until, &mut found);
     drop(trial);
     if !fits(class, found.mode.as_deref()) {
         found.wrong.push(format!(
@@ -228,7 +271,7 @@ fn fits(class: &Class, mode: Option<&str>) -> bool {
 
 /// Waits until drives are off, ends all processes, and looks at how they ended.
 fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
-    let deadline = Instant::now() + HANG;
+    let deadline = Instant::now() + REST;
     loop {
         match trial.place.address().ask(Word::Status, Duration::from_secs(5)) {
             Ok(Said::Status(report)) if report.drives.enabled == 0 => break,
@@ -252,7 +295,7 @@ fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
     let pid = rustix::process::Pid::from_child(&trial.daemon);
     let _ = rustix::process::kill_process(pid, rustix::process::Signal::CONT);
     let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
-    let deadline = Instant::now() + 2 * HANG;
+    let deadline = Instant::now() + 2 * WAITS;
     let status = loop {
         match trial.daemon.try_wait().unwrap() {
             Some(status) => break Some(status),
@@ -268,6 +311,8 @@ fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
             let _ = trial.daemon.kill();
             let _ = trial.daemon.wait();
         }
+        // 2: the recording ended early.
+        Some(status) if class.record.is_some() && status.code() == Some(2) => {}
         Some(status) if class.expect != Expect::Gone && ![Some(0), Some(1)].contains(&status.code()) => {
             found.wrong.push(format!("the daemon ended with {status}: {text}"));
         }
@@ -279,7 +324,7 @@ fn end(trial: &mut Trial, class: &Class, found: &mut Found) {
     // Whatever a class left in shared memory goes with its prefix.
     for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
         if entry.file_name().to_string_lossy().starts_with(trial.place.prefix()) {
-            let _ = std::fs::remove_file(entry.path());
+            let _ = std::fs::remove_file(entry.path()).or_else(|_| std::fs::remove_dir(entry.path()));
         }
     }
     let _ = std::fs::remove_dir_all(trial.place.folder.path().join("ipc"));

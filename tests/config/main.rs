@@ -704,8 +704,16 @@ fn who_may_stop_and_see_is_users_and_groups_and_else_the_daemons_own_group() {
     let expected = [Who::User("alice".into()), Who::Group("robots".into()), Who::Group("4711".into())];
     assert_eq!((access.stop.as_deref(), access.see.as_deref()), (Some(&expected[..]), Some(&[][..])));
     let default = changed("drives.toml", "[drives]\n", "[drives]\n").unwrap().access;
-    assert_eq!((default.stop, default.see), (None, None));
-    expect(with_table("[access]\nstop = [\"@\"]"), &["drives.toml:", "`access.stop`", "a group without a name"]);
+    assert_eq!((&default.stop, &default.see), (&None, &None));
+    expect(
+        with_table("[access]\nstop = [\"@\"]"),
+        &["drives.toml:", "`access.stop`", "a user or group without a name"],
+    );
+    let named = with_table("[access]\ncommand = [\"4\"]\npublish = [\"@cameras\", \"5=7\"]").unwrap().access;
+    assert_eq!(named.command, [Who::User("4".into())]);
+    assert_eq!(named.publish, [(Who::Group("cameras".into()), None), (Who::User("5".into()), Some(7))]);
+    assert!(default.command.is_empty() && default.publish.is_empty(), "nobody else");
+    expect(with_table("[access]\npublish = [\"alice=camera\"]"), &["`access.publish`", "\"user=7\""]);
     expect(with_table("[access]\nstop = \"alice\""), &["`access.stop`"]);
     expect(with_table("[access]\nstop = [\"\"]"), &["`access.stop[0]`", "1 to 64 bytes"]);
 }

@@ -125,6 +125,11 @@ impl Place {
         &self.prefix
     }
 
+    /// A file with which a test fills shared memory.
+    pub fn filler(&self) -> PathBuf {
+        PathBuf::from(format!("/dev/shm/{}filler", self.prefix))
+    }
+
     /// Where the daemon listens.
     pub fn address(&self) -> Address {
         Address::new(&self.domain, "paper", Some(&self.run))
@@ -279,7 +284,7 @@ impl Plant {
             settings.pace = sim_plant::config::Pace::Lockstep;
         }
         let faults: Vec<FaultSpec> = faults.iter().map(|f| f.parse().unwrap()).collect();
-        let schedule = Schedule::new(&faults, config.arm.cable_count(), settings.truth.seed).unwrap();
+        let schedule = Schedule::new(&faults, &config.arm.cable_names(), settings.truth.seed).unwrap();
         let rig = Rig::new(&config, &settings, &Start::straight(&config.arm), 0).unwrap();
         let wire: Vec<WireFault> = wire.iter().map(|f| f.parse().unwrap()).collect();
         let seed = settings.truth.seed;

@@ -118,7 +118,7 @@ fn mask_words(mask: u32) -> String {
 
 /// A fault with its place and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("cable {drive} (bus {bus}, node {node}): {fault}")]
+#[error("the drive at bus {bus}, node {node}: {fault}")]
 pub struct DriveFault {
     /// Index of the drive, which is its cable's.
     pub drive: usize,

@@ -11,20 +11,22 @@
 //! missing or stands twice is an error too. What cannot be laid together is not judged.
 
 use super::setup::Setup;
+use super::wire;
 use crate::cli::scenario_client::approach_s;
 use miette::{IntoDiagnostic, WrapErr, miette};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
-use serde_json::Value;
+use serde::de::DeserializeOwned;
 use sinew::collision::{Body, BodyGeometry};
-use sinew::config::{ArmConfig, BodyModel};
+use sinew::config::{ArmConfig, BodyModel, CableNames};
 use sinew::control::Fault;
 use sinew::daemon::{FIRST_SYNC, motor_bank, overran};
-use sinew::ipc::payload::{PlannerBranch, SupervisorState};
+use sinew::ipc::payload::PlannerBranch;
 use sinew::model::Outputs;
 use sinew::planner::{Branch, Goal};
 use sinew::recording::read_each;
 use sinew::report::{Collector, Summary, Tick, tip_error};
 use sinew::scenario::Course;
+use sinew_hal::clock::seconds_to_ns;
 use std::path::Path;
 
 /// Between the same torque in whole per mille, as the two programs compute its tension (N).
@@ -53,77 +55,69 @@ pub(super) struct Held {
 }
 
 /// One of the daemon's ticks.
-struct Record {
-    tick: u64,
-    capture_ns: u64,
-    tracks: bool,
-    stops: bool,
-    tensions: Vec<f64>,
-    branch: u64,
-    iterations: u64,
-    plan_ns: u64,
-    cycle_ns: u64,
-    wakeup_ns: u64,
-    left_out: u64,
-    fault: (u64, u64),
+pub(super) struct Record {
+    pub(super) tick: u64,
+    pub(super) capture_ns: u64,
+    pub(super) tracks: bool,
+    pub(super) stops: bool,
+    pub(super) tensions: Vec<f64>,
+    pub(super) branch: Option<PlannerBranch>,
+    pub(super) iterations: u64,
+    pub(super) plan_ns: u64,
+    pub(super) cycle_ns: u64,
+    pub(super) wakeup_ns: u64,
+    pub(super) left_out: u64,
+    pub(super) fault: Option<FaultOf>,
+}
+
+/// A latched fault.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FaultOf {
+    code: u32,
+    /// `None` for a code of another version.
+    fault: Option<Fault>,
+}
+
+impl FaultOf {
+    /// Of what a record holds; `None` without a fault.
+    pub(super) fn new(code: u32, detail: u32, flags: u32, values: [f64; 2]) -> Option<Self> {
+        (code != 0).then(|| Self { code, fault: Fault::of_parts(code, detail, flags, values) })
+    }
 }
 
 impl Record {
     /// A fault, or the ramp of a stop: the path is no longer followed, and what the arm does from here is not judged.
     const fn is_over(&self) -> bool {
-        self.fault.0 != 0 || self.stops
+        self.fault.is_some() || self.stops
     }
 }
 
 /// The true arm after one period.
-struct Truth {
-    syncs: u64,
-    capture_ns: u64,
-    tensions: Vec<f64>,
-    nodes: Vec<[f64; 7]>,
-    curvatures: Vec<f64>,
+pub(super) struct Truth {
+    pub(super) syncs: u64,
+    pub(super) capture_ns: u64,
+    pub(super) tensions: Vec<f64>,
+    pub(super) nodes: Vec<[f64; 7]>,
+    pub(super) curvatures: Vec<f64>,
 }
 
 pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
-    let mut records = Vec::new();
-    read(&setup.records(), "/state", |v| {
-        records.push(Record {
-            tick: integer(&v["header"]["tick"]),
-            capture_ns: integer(&v["header"]["capture_ns"]),
-            tracks: integer(&v["supervisor"]) == u64::from(SupervisorState::Tracking.wire()),
-            stops: integer(&v["supervisor"]) == u64::from(SupervisorState::Stopping.wire()),
-            tensions: numbers(&v["tension_command_n"]),
-            branch: integer(&v["planner_branch"]),
-            iterations: integer(&v["newton_iterations"]),
-            plan_ns: integer(&v["timing"]["plan_ns"]),
-            cycle_ns: integer(&v["timing"]["cycle_ns"]),
-            wakeup_ns: integer(&v["timing"]["wakeup_ns"]),
-            left_out: integer(&v["ticks_missed"]),
-            fault: (integer(&v["fault_code"]), integer(&v["fault_detail"])),
-        });
-    })?;
+    let mut records: Vec<Record> = Vec::new();
+    read(&setup.records(), "/state", |tick: wire::Tick| records.push(tick.into()))?;
     let mut first_sync = None;
-    read(&setup.records(), "/events", |v| {
-        if integer(&v["code"]) == u64::from(FIRST_SYNC) {
-            first_sync = v["value"].as_f64().map(|value| value as u64);
+    read(&setup.records(), "/events", |event: wire::Event| {
+        if event.code == FIRST_SYNC {
+            first_sync = Some(event.value.unwrap_or(f64::NAN) as u64);
         }
     })?;
-    let mut truths = Vec::new();
-    read(&setup.trace(), "/state", |v| {
-        truths.push(Truth {
-            syncs: integer(&v["header"]["tick"]),
-            capture_ns: integer(&v["header"]["capture_ns"]),
-            tensions: numbers(&v["tension_command_n"]),
-            nodes: v["nodes"].as_array().into_iter().flatten().map(node).collect(),
-            curvatures: numbers(&v["curvature_1pm"]),
-        });
-    })?;
+    let mut truths: Vec<Truth> = Vec::new();
+    read(&setup.trace(), "/state", |truth: wire::Truth| truths.push(truth.into()))?;
     let Some(first) = records.iter().position(|r| r.tracks) else {
         return Ok(never_tracked(setup, lockstep, &records));
     };
     // The scenario begins when the clients say so: after the approach to its start.
     let approach_s = approach_s(&setup.scenario.task);
-    let origin_ns = records[first].capture_ns + (1e9 * approach_s).round() as u64;
+    let origin_ns = records[first].capture_ns + seconds_to_ns(approach_s);
     let period_s = setup.config.timing.period_s;
     let truth_s: Vec<f64> = if lockstep {
         let offset = offset(setup, first_sync, &records[first..], &truths)?;
@@ -159,7 +153,7 @@ pub(super) fn judge(setup: &Setup, lockstep: bool) -> miette::Result<Judged> {
     let run: Vec<&Record> = records[first..].iter().take_while(within).collect();
     let (left_out, overran) = missed(&run, if lockstep { 0.0 } else { period_s });
     collector.set_missed(left_out, overran);
-    faults(&records, origin_ns, &mut collector);
+    faults(setup, &records, origin_ns, &mut collector);
     let planner = &setup.config.planner;
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, planner.lookahead_s, true);
     Ok(Judged {
@@ -176,7 +170,7 @@ fn never_tracked(setup: &Setup, lockstep: bool, records: &[Record]) -> Judged {
     let (period_s, lookahead_s) = (setup.config.timing.period_s, setup.config.planner.lookahead_s);
     let (left_out, overran) = missed(&records.iter().collect::<Vec<_>>(), if lockstep { 0.0 } else { period_s });
     collector.set_missed(left_out, overran);
-    faults(records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
+    faults(setup, records, records.first().map_or(0, |r| r.capture_ns), &mut collector);
     let summary = collector.summary(&setup.scenario.name, setup.seed, period_s, lookahead_s, true);
     Judged { summary, contact: false, reached_s: 0.0, held: Held::default() }
 }
@@ -188,12 +182,12 @@ fn missed(run: &[&Record], period_s: f64) -> (u64, u64) {
         [first, .., last] => last.left_out.saturating_sub(first.left_out),
         _ => 0,
     };
-    let period_ns = (1e9 * period_s).round() as u64;
+    let period_ns = seconds_to_ns(period_s);
     (left_out, run.iter().filter(|r| overran(r.wakeup_ns, r.cycle_ns, period_ns)).count() as u64)
 }
 
 fn held(run: &[&Record], origin_ns: u64, period_s: f64) -> Held {
-    let holds = |r: &&&Record| !r.tracks && r.fault.0 == 0;
+    let holds = |r: &&&Record| !r.tracks && r.fault.is_none();
     let first = run.iter().find(holds);
     Held {
         for_s: period_s * run.iter().filter(holds).count() as f64,
@@ -208,17 +202,18 @@ fn collector(setup: &Setup) -> Collector {
     Collector::new(&names, &cables, &setup.config.arm.tension_maxima_n())
 }
 
-fn faults(records: &[Record], origin_ns: u64, collector: &mut Collector) {
-    let mut last = 0;
+fn faults(setup: &Setup, records: &[Record], origin_ns: u64, collector: &mut Collector) {
+    let names = setup.config.arm.cable_names();
+    let mut last = None;
     for r in records {
-        let (code, detail) = r.fault;
-        if code != last && code != 0 {
-            let what =
-                Fault::EXAMPLES.iter().find(|f| u64::from(f.code()) == code).map_or("unknown fault", |f| f.what());
+        if let Some(fault) = r.fault
+            && last != Some(fault.code)
+        {
             let at_s = (r.capture_ns as f64 - origin_ns as f64) * 1e-9;
-            collector.add_fault(format!("{what} (code {code}, detail {detail}) at {at_s:.2} s"));
+            let words = fault.fault.map_or("a fault of another version".into(), |fault| fault.in_words(&names));
+            collector.add_fault(format!("{words} (code {}) at {at_s:.2} s", fault.code));
         }
-        last = code;
+        last = r.fault.map(|fault| fault.code);
     }
 }
 
@@ -235,7 +230,8 @@ fn offset(setup: &Setup, first_sync: Option<u64>, records: &[Record], truths: &[
             .and_then(|c| c.encode_tension(tension_n).map(|(torque, _)| c.decode_tension(torque)))
             .unwrap_or(f64::NAN)
     };
-    aligned(first_sync + setup.latency_ticks, records, truths, given_n, !setup.wire.is_empty())
+    let names = setup.config.arm.cable_names();
+    aligned(first_sync + setup.latency_ticks, records, truths, given_n, !setup.wire.is_empty(), &names)
 }
 
 /// The offset, where both recordings are without a gap and the drums had what was commanded, as the wire carries it
@@ -246,6 +242,7 @@ fn aligned(
     truths: &[Truth],
     given_n: impl Fn(usize, f64) -> f64,
     disturbed: bool,
+    names: &CableNames,
 ) -> miette::Result<u64> {
     let count = tracked(records);
     let Some(first) = records.first().filter(|_| count > 0) else { return Err(miette!("nothing was tracked")) };
@@ -277,9 +274,8 @@ fn aligned(
             }
             if !disturbed {
                 return Err(miette!(
-                    "the drives did not apply what the controller commanded: at tick {tick} cable {} had {b:.3} N, not \
-                     {a:.3} N",
-                    cable + 1
+                    "the drives did not apply what the controller commanded: at tick {tick} {} had {b:.3} N, not {a:.3} N",
+                    names.words(cable)
                 ));
             }
             arrived -= 1;
@@ -370,10 +366,13 @@ impl Judge {
         };
         let us = |ns: u64| (ns > 0).then_some(ns as f64 * 1e-3);
         let step = record.and_then(|r| {
-            let branch = match r.branch {
-                b if b == u64::from(PlannerBranch::None.wire()) => return None,
-                b if b == u64::from(PlannerBranch::Safe.wire()) => Branch::Safe,
-                _ => Branch::Warning,
+            let branch = match r.branch? {
+                PlannerBranch::None => return None,
+                PlannerBranch::Safe => Branch::Safe,
+                PlannerBranch::Swarm
+                | PlannerBranch::Seeded
+                | PlannerBranch::Complementarity
+                | PlannerBranch::StandardSwarm => Branch::Warning,
             };
             Some((branch, r.iterations as usize, true))
         });
@@ -405,27 +404,22 @@ fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
 }
 
-fn read(path: &Path, topic: &str, mut take: impl FnMut(&Value)) -> miette::Result<()> {
-    read_each(path, |message| {
-        if message.topic.ends_with(topic) {
-            take(&message.value);
+/// Every message of a topic. One that lacks a field, or has it otherwise, is an error: what is not there decides nothing.
+fn read<T: DeserializeOwned>(path: &Path, topic: &str, mut take: impl FnMut(T)) -> miette::Result<()> {
+    let mut wrong = None;
+    let read = read_each(path, |message| {
+        if message.topic.ends_with(topic) && wrong.is_none() {
+            match T::deserialize(&message.value) {
+                Ok(value) => take(value),
+                Err(error) => wrong = Some(error),
+            }
         }
-    })
-    .into_diagnostic()
-    .wrap_err_with(|| path.display().to_string())
-}
-
-fn integer(value: &Value) -> u64 {
-    value.as_u64().unwrap_or(0)
-}
-
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().into_iter().flatten().map(|x| x.as_f64().unwrap_or(f64::NAN)).collect()
-}
-
-fn node(value: &Value) -> [f64; 7] {
-    let (r, q) = (numbers(&value["position_m"]), numbers(&value["quaternion"]));
-    std::array::from_fn(|i| r.iter().chain(&q).nth(i).copied().unwrap_or(f64::NAN))
+    });
+    read.into_diagnostic().wrap_err_with(|| path.display().to_string())?;
+    match wrong {
+        None => Ok(()),
+        Some(error) => Err(miette!("{}: a message of {topic} is not understood: {error}", path.display())),
+    }
 }
 
 #[cfg(test)]
@@ -439,13 +433,13 @@ mod tests {
             tracks,
             stops: false,
             tensions: Vec::new(),
-            branch: 0,
+            branch: None,
             iterations: 0,
             plan_ns: 0,
             cycle_ns: 0,
             wakeup_ns: 0,
             left_out: 0,
-            fault: (0, 0),
+            fault: None,
         }
     }
 
@@ -462,6 +456,10 @@ mod tests {
         assert_eq!(missed(&run, 0.01), (2, 1));
         assert_eq!(missed(&run, 0.0).1, 0, "in lockstep nothing is due");
         assert_eq!(missed(&[], 0.01), (0, 0));
+    }
+
+    fn names() -> CableNames {
+        CableNames::new([2])
     }
 
     /// Ticks 5 to 14 that track, and the SYNCs 100 to 119 of a plant that began the loop's tick 0 with SYNC 100.
@@ -481,15 +479,15 @@ mod tests {
     fn refused(change: impl Fn(&mut Vec<Record>, &mut Vec<Truth>), disturbed: bool) -> String {
         let (mut records, mut truths) = recordings();
         change(&mut records, &mut truths);
-        aligned(100, &records, &truths, |_, n| n, disturbed).unwrap_err().to_string()
+        aligned(100, &records, &truths, |_, n| n, disturbed, &names()).unwrap_err().to_string()
     }
 
     #[test]
     fn recordings_meet_by_their_ticks() {
         let (records, truths) = recordings();
-        assert_eq!(aligned(100, &records, &truths, |_, n| n, false).unwrap(), 100);
+        assert_eq!(aligned(100, &records, &truths, |_, n| n, false, &names()).unwrap(), 100);
         // The plant went first.
-        assert_eq!(aligned(100, &records, &truths[..10], |_, n| n, false).unwrap(), 100);
+        assert_eq!(aligned(100, &records, &truths[..10], |_, n| n, false, &names()).unwrap(), 100);
     }
 
     #[test]
@@ -505,26 +503,31 @@ mod tests {
         assert!(refused(|_, t| drop(t.remove(9)), false).contains("SYNC 110 where 109"));
         assert!(refused(|r, _| drop(r.remove(4)), false).contains("tick 10 where 9"));
         assert!(refused(|_, t| drop(t.drain(..6)), false).contains("lacks the SYNC 105"));
-        assert!(refused(|_, t| t[7].tensions[1] += 0.2, false).contains("at tick 7 cable 2"));
+        assert!(refused(|_, t| t[7].tensions[1] += 0.2, false).contains("at tick 7 cable 1,2"));
         // Laid beside each other a tick off.
         let (records, truths) = recordings();
-        assert!(aligned(101, &records, &truths, |_, n| n, false).is_err());
-        assert!(aligned(101, &records, &truths, |_, n| n, true).unwrap_err().to_string().contains("less than half"));
+        assert!(aligned(101, &records, &truths, |_, n| n, false, &names()).is_err());
+        assert!(
+            aligned(101, &records, &truths, |_, n| n, true, &names())
+                .unwrap_err()
+                .to_string()
+                .contains("less than half")
+        );
     }
 
     #[test]
     fn commands_lost_on_purpose_are_no_reason_unless_they_are_most() {
         let (records, mut truths) = recordings();
         truths.iter_mut().step_by(3).for_each(|t| t.tensions[0] -= 1.0);
-        assert_eq!(aligned(100, &records, &truths, |_, n| n, true).unwrap(), 100);
-        assert!(aligned(100, &records, &truths, |_, n| n, false).is_err());
+        assert_eq!(aligned(100, &records, &truths, |_, n| n, true, &names()).unwrap(), 100);
+        assert!(aligned(100, &records, &truths, |_, n| n, false, &names()).is_err());
     }
 
     #[test]
     fn a_hold_is_told_by_its_time_and_whether_it_lasted() {
-        let held_of = |ticks: &[(bool, u64)]| {
-            let record = |(k, (tracks, fault)): (usize, &(bool, u64))| Record {
-                fault: (*fault, 0),
+        let held_of = |ticks: &[(bool, u32)]| {
+            let record = |(k, (tracks, fault)): (usize, &(bool, u32))| Record {
+                fault: FaultOf::new(*fault, 0, 0, [f64::NAN; 2]),
                 ..record(k as u64, *tracks)
             };
             let records: Vec<Record> = ticks.iter().enumerate().map(record).collect();

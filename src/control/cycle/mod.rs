@@ -21,7 +21,7 @@ use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVe
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::Record;
-use super::settings::{Settings, seconds_to_ns};
+use super::settings::Settings;
 use super::steering::Steering;
 use super::supervision::Supervision;
 use super::supervisor::{
@@ -38,6 +38,7 @@ use nalgebra::Vector3;
 use plan::Wanted;
 use postures::Postures;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sinew_hal::clock::seconds_to_ns;
 use stay::Stay;
 
 /// What the cycle needs of a planner, so that a test can put a broken one in its place.

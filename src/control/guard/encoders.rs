@@ -3,7 +3,7 @@
 use crate::config::GuardConfig;
 use crate::control::CableMask;
 use crate::control::fault::{Fault, FaultList};
-use crate::control::settings::seconds_to_ns;
+use sinew_hal::clock::seconds_to_ns;
 
 /// The newest cable lengths, as they came.
 #[derive(Debug, Clone, Copy, PartialEq)]

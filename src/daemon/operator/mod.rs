@@ -1,19 +1,26 @@
-//! The arm's socket: stop, hold, disarm, emergency stop and status on a way of their own.
+//! The arm's socket: stop, hold, disarm, emergency stop, speed and status on a way of their own; and for those whom
+//! `[access]` names, who have no part in the daemon's shared memory, everything else.
 //!
-//! Enters: one line with one word, and a number after `speed`, from a process whose user the kernel vouches for. Leaves: one line of JSON, and the
-//! order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend on what an arm is
-//! otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O thread stuck.
+//! Enters: one line with one word, and a number after `speed`, from a process whose user the kernel vouches for. Leaves: one
+//! line of JSON, and the order to the control thread, past the I/O thread and shared memory. Stopping an arm must not depend
+//! on what an arm is otherwise driven by: this works with shared memory full, its files removed, its locks held, the I/O
+//! thread stuck.
+//! `arm`, `track`, `home`, `clear` and `target {...}` go through the I/O thread, as those of shared memory do. After
+//! `publish obstacles ID` or `publish targets ID` follow lines of JSON without end (`lines`).
 //!
 //! The socket is `<run folder>/<arm>/control` for the default domain of shared memory, and has a number behind its name
 //! for any other; [`crate::ipc::run_dir`] tells which folder. Without sinew at hand: `echo stop | nc -UN <socket>`.
 
+mod lines;
 mod server;
+mod streams;
 
 pub(crate) use server::{Desk, OperatorSocket};
 
 use super::status::StatusReport;
-use crate::ipc::payload::{RequestKind, Response, is_speed_scale};
+use crate::ipc::payload::{Obstacles, RequestKind, Response, Target, is_speed_scale};
 use crate::ipc::{Domain, IpcError, run_dir};
+use lines::{PointLine, SetLine};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType};
 use serde::{Deserialize, Serialize};
 use sinew_hal::peer::{self, user_text};
@@ -41,6 +48,14 @@ pub enum Word {
     Speed(f64),
     /// The daemon's report.
     Status,
+    /// Enable the drives and hold the pose.
+    Arm,
+    /// Follow the target.
+    Track,
+    /// Go to the home pose.
+    Home,
+    /// Release a latched fault, forget sources that are gone.
+    Clear,
 }
 
 /// Reads a speed: a share (`0.5`) or per cent (`50%`) of the configured one.
@@ -57,31 +72,32 @@ pub fn parse_speed(text: &str) -> Result<f64, String> {
 
 impl Word {
     /// Every word that stands alone.
-    const ALONE: [Self; 6] =
-        [Self::Stop, Self::Hold, Self::Disarm, Self::EmergencyStop, Self::EmergencyRelease, Self::Status];
+    const ALONE: [Self; 10] = [
+        Self::Stop,
+        Self::Hold,
+        Self::Disarm,
+        Self::EmergencyStop,
+        Self::EmergencyRelease,
+        Self::Status,
+        Self::Arm,
+        Self::Track,
+        Self::Home,
+        Self::Clear,
+    ];
 
-    /// Reads a line as it is sent.
-    ///
-    /// # Errors
-    /// It is none; in words.
-    pub fn parse(line: &[u8]) -> Result<Self, String> {
-        let line = line.trim_ascii();
-        if let Some(word) = Self::ALONE.into_iter().find(|word| line == word.text().as_bytes()) {
-            return Ok(word);
-        }
-        match std::str::from_utf8(line).ok().and_then(|line| line.strip_prefix("speed ")) {
-            Some(speed) => parse_speed(speed).map(Self::Speed),
-            None => Err("expected a line with stop, hold, disarm, emergency-stop, emergency-release, status, or \
-                         speed and a share of the configured one (`speed 50%`)"
-                .into()),
+    /// Reads a line as it is sent, without its end; `None` if it begins with no word, and in words what is wrong with a speed.
+    pub fn parse(line: &str) -> Option<Result<Self, String>> {
+        match line.strip_prefix("speed ") {
+            Some(speed) => Some(parse_speed(speed).map(Self::Speed)),
+            None => Self::ALONE.into_iter().find(|word| line == word.text()).map(Ok),
         }
     }
 
-    /// The line as it is sent.
+    /// The line as it is sent, without its end.
     pub fn line(self) -> String {
         match self {
-            Self::Speed(scale) => format!("speed {scale}\n"),
-            word => format!("{}\n", word.text()),
+            Self::Speed(scale) => format!("speed {scale}"),
+            word => word.text().to_owned(),
         }
     }
 
@@ -95,22 +111,25 @@ impl Word {
             Self::EmergencyRelease => "emergency-release",
             Self::Speed(_) => "speed",
             Self::Status => "status",
+            Self::Arm => "arm",
+            Self::Track => "track",
+            Self::Home => "home",
+            Self::Clear => "clear",
         }
     }
 
-    /// The word of a request; `None` for those that go over shared memory, or need a number.
-    pub const fn of(kind: RequestKind) -> Option<Self> {
-        match kind {
-            RequestKind::Stop => Some(Self::Stop),
-            RequestKind::Hold => Some(Self::Hold),
-            RequestKind::Disarm => Some(Self::Disarm),
-            RequestKind::EmergencyStop => Some(Self::EmergencyStop),
-            RequestKind::EmergencyRelease => Some(Self::EmergencyRelease),
-            _ => None,
-        }
+    /// Whether it can only make an arm rest: such an order goes to every daemon that is found.
+    pub const fn stops(self) -> bool {
+        matches!(self, Self::Stop | Self::Hold | Self::Disarm | Self::EmergencyStop)
     }
 
-    const fn request(self) -> Option<RequestKind> {
+    /// Whether it is the control thread's alone, which hears it past the I/O thread, and of those who may stop.
+    pub const fn is_direct(self) -> bool {
+        self.stops() || matches!(self, Self::EmergencyRelease | Self::Speed(_))
+    }
+
+    /// The request that it stands for; `None` for the report.
+    pub const fn request(self) -> Option<RequestKind> {
         match self {
             Self::Stop => Some(RequestKind::Stop),
             Self::Hold => Some(RequestKind::Hold),
@@ -119,6 +138,10 @@ impl Word {
             Self::EmergencyRelease => Some(RequestKind::EmergencyRelease),
             Self::Speed(_) => Some(RequestKind::Speed),
             Self::Status => None,
+            Self::Arm => Some(RequestKind::Arm),
+            Self::Track => Some(RequestKind::Track),
+            Self::Home => Some(RequestKind::Home),
+            Self::Clear => Some(RequestKind::Clear),
         }
     }
 }
@@ -171,6 +194,8 @@ pub enum Said {
     Answer(Answer),
     /// The answer to `status`.
     Status(Box<StatusReport>),
+    /// What is published is taken.
+    Taken,
 }
 
 /// Nothing was heard of a daemon, or nothing that can be used.
@@ -240,6 +265,7 @@ pub struct Address {
 pub type Heard = (u32, Result<Said, OperatorError>);
 
 /// A daemon that was found.
+#[derive(Debug)]
 struct Line {
     stream: UnixStream,
     path: PathBuf,
@@ -274,10 +300,24 @@ impl Address {
     /// [`OperatorError`] where none is found; what went wrong with one that was found stands in its place.
     pub fn ask_all(&self, word: Word, timeout: Duration) -> Result<Vec<Heard>, OperatorError> {
         let deadline = Instant::now() + timeout;
-        let mut lines = self.find(deadline)?;
-        let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.ask(word)).collect();
+        self.say(self.find(deadline)?, &word.line(), timeout, deadline)
+    }
+
+    fn say(
+        &self,
+        mut lines: Vec<Line>,
+        text: &str,
+        timeout: Duration,
+        deadline: Instant,
+    ) -> Result<Vec<Heard>, OperatorError> {
+        // Where the order could not be said, an answer may be there all the same: a refusal.
+        let asked: Vec<io::Result<()>> = lines.iter_mut().map(|line| line.say(text)).collect();
         let heard = |(mut line, asked): (Line, io::Result<()>)| {
-            let said = asked.and_then(|()| line.read(deadline));
+            let said = match (asked, line.read(deadline)) {
+                (Err(source), Ok(text)) if text.is_empty() => Err(source),
+                (Err(source), Err(_)) => Err(source),
+                (_, read) => read,
+            };
             let failed = |source: io::Error| match source.kind() {
                 io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
                     OperatorError::Timeout { arm: self.arm.clone(), timeout_s: timeout.as_secs_f64() }
@@ -295,8 +335,36 @@ impl Address {
     /// # Errors
     /// [`OperatorError`].
     pub fn ask(&self, word: Word, timeout: Duration) -> Result<Said, OperatorError> {
-        let mut all = self.ask_all(word, timeout)?;
-        all.swap_remove(0).1
+        self.say_to_one(&word.line(), timeout)
+    }
+
+    /// Gives the daemon one target, which is kept until another comes. A capture time of 0 stands for now.
+    ///
+    /// # Errors
+    /// [`OperatorError`].
+    pub fn set_target(&self, target: &Target, timeout: Duration) -> Result<Said, OperatorError> {
+        let line = serde_json::to_string(&PointLine::of(target)).unwrap_or_default();
+        self.say_to_one(&format!("target {line}"), timeout)
+    }
+
+    /// Opens a way to publish obstacles under a source id.
+    ///
+    /// # Errors
+    /// [`OperatorError`].
+    pub fn publisher(&self, source_id: u32, timeout: Duration) -> Result<SocketPublisher, OperatorError> {
+        let mut line = self.find(Instant::now() + timeout)?.swap_remove(0);
+        let path = line.path.clone();
+        let opened = line.say(&format!("publish obstacles {source_id}"));
+        let opened = opened.and_then(|()| line.stream.set_nonblocking(true));
+        opened.map_err(|source| OperatorError::Io { path, source })?;
+        Ok(SocketPublisher { line, text: Vec::new() })
+    }
+
+    fn say_to_one(&self, text: &str, timeout: Duration) -> Result<Said, OperatorError> {
+        let deadline = Instant::now() + timeout;
+        let mut lines = self.find(deadline)?;
+        lines.truncate(1);
+        self.say(lines, text, timeout, deadline)?.swap_remove(0).1
     }
 
     fn path_in(&self, base: &Path) -> PathBuf {
@@ -379,9 +447,9 @@ fn open(path: &Path) -> io::Result<UnixStream> {
 const ANSWER_BYTES_MAX: u64 = 4 << 20;
 
 impl Line {
-    fn ask(&mut self, word: Word) -> io::Result<()> {
+    fn say(&mut self, text: &str) -> io::Result<()> {
         self.stream.set_write_timeout(Some(Duration::from_millis(500)))?;
-        self.stream.write_all(word.line().as_bytes())
+        self.stream.write_all(format!("{text}\n").as_bytes())
     }
 
     /// Reads until the daemon hangs up.
@@ -398,9 +466,62 @@ impl Line {
                 Ok(0) => return Ok(text),
                 Ok(count) => text.extend_from_slice(&part[..count]),
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                // It has answered before it had read all: who may ask for nothing is not listened to.
+                Err(e) if e.kind() == io::ErrorKind::ConnectionReset && !text.is_empty() => return Ok(text),
                 Err(e) => return Err(e),
             }
         }
+    }
+}
+
+/// Publishes one source's obstacles over the socket.
+#[derive(Debug)]
+pub struct SocketPublisher {
+    line: Line,
+    text: Vec<u8>,
+}
+
+impl SocketPublisher {
+    /// Sends a set; its id and number are the connection's. Waits while the daemon has not taken those before.
+    ///
+    /// # Errors
+    /// [`OperatorError::Io`]: the daemon has hung up.
+    pub fn publish(&mut self, set: &Obstacles) -> Result<(), OperatorError> {
+        let mut line = serde_json::to_vec(&SetLine::of(set)).unwrap_or_default();
+        line.push(b'\n');
+        let stream = &mut self.line.stream;
+        let sent = stream.set_nonblocking(false).and_then(|()| stream.write_all(&line));
+        sent.and_then(|()| stream.set_nonblocking(true)).map_err(|source| self.failed(source))
+    }
+
+    /// What the daemon has said since, if it has: taken, or why not. It says what changes.
+    ///
+    /// # Errors
+    /// [`OperatorError::Io`]: the daemon has hung up; [`OperatorError::Garbled`].
+    pub fn heard(&mut self) -> Result<Option<Result<(), String>>, OperatorError> {
+        let mut part = [0; 4096];
+        let ended = match self.line.stream.read(&mut part) {
+            Ok(count) => {
+                self.text.extend_from_slice(&part[..count]);
+                count == 0
+            }
+            Err(e) if [io::ErrorKind::WouldBlock, io::ErrorKind::Interrupted].contains(&e.kind()) => false,
+            Err(source) => return Err(self.failed(source)),
+        };
+        let Some(end) = self.text.iter().position(|byte| *byte == b'\n') else {
+            return if ended { Err(self.failed(io::ErrorKind::UnexpectedEof.into())) } else { Ok(None) };
+        };
+        let line: Vec<u8> = self.text.drain(..=end).collect();
+        match serde_json::from_slice(&line) {
+            Ok(Said::Taken) => Ok(Some(Ok(()))),
+            Ok(Said::Refused(why)) => Ok(Some(Err(why))),
+            Ok(_) => Ok(Some(Err("an answer to something else".into()))),
+            Err(source) => Err(OperatorError::Garbled { path: self.line.path.clone(), source }),
+        }
+    }
+
+    fn failed(&self, source: io::Error) -> OperatorError {
+        OperatorError::Io { path: self.line.path.clone(), source }
     }
 }
 

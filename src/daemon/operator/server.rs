@@ -1,13 +1,16 @@
 //! The daemon's side of the socket: a thread that listens and never waits for one of those who speak.
 
+use super::lines::PointLine;
+use super::streams::{Content, Found, Stream};
 use super::{Address, Answer, Said, Word};
 use crate::config::{AccessConfig, Who};
 use crate::daemon::DaemonError;
 use crate::daemon::records::refusal_text;
-use crate::ipc::payload::{RefusalReason, Verdict, speed_text};
-use crate::ipc::{DirectEnd, IpcError, Reply, run_dir};
+use crate::ipc::payload::{RefusalReason, Request, RequestKind, Response, Verdict, speed_text};
+use crate::ipc::{BySocket, DirectEnd, IpcError, Reply, SocketPort, ToSocket, run_dir};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use sinew_hal::peer::{self, Peer, group_id, user_id, user_text};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read, Write};
 use std::os::fd::AsFd;
@@ -24,8 +27,13 @@ const CONNECTIONS_MAX: usize = 32;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// How long the control thread may take over an answer: it looks every period.
 const ANSWER: Duration = Duration::from_secs(1);
-/// Longest line.
-const LINE_BYTES_MAX: usize = 64;
+/// Longest line: a target's.
+const LINE_BYTES_MAX: usize = 4096;
+/// Streams under ids that the configuration does not require, of which there may be so many; of those that it requires as
+/// many again, so that no other source takes their places.
+const STREAMS_MAX: usize = 16;
+/// Source id of targets that are given by a word.
+const TARGET_SOURCE_ID: u32 = 0x5157;
 
 /// Users and groups, as numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,8 +72,58 @@ impl Permitted {
 pub(crate) struct OperatorSocket {
     listener: UnixListener,
     path: PathBuf,
+    rights: Rights,
+}
+
+/// Who may do what.
+#[derive(Debug)]
+struct Rights {
     stop: Permitted,
     see: Permitted,
+    command: Permitted,
+    publish: Permitted,
+    /// Ids that belong to some alone.
+    bound: BTreeMap<u32, Permitted>,
+}
+
+impl Rights {
+    fn new(access: &AccessConfig) -> Result<Self, DaemonError> {
+        let free: Vec<Who> = access.publish.iter().filter(|(_, id)| id.is_none()).map(|(who, _)| who.clone()).collect();
+        let mut bound = BTreeMap::<u32, Vec<Who>>::new();
+        for (who, id) in &access.publish {
+            if let Some(id) = id {
+                bound.entry(*id).or_default().push(who.clone());
+            }
+        }
+        let permitted = |(id, list): (u32, Vec<Who>)| Ok((id, Permitted::new("publish", Some(&list))?));
+        Ok(Self {
+            stop: Permitted::new("stop", access.stop.as_deref())?,
+            see: Permitted::new("see", access.see.as_deref())?,
+            command: Permitted::new("command", Some(&access.command))?,
+            publish: Permitted::new("publish", Some(&free))?,
+            bound: bound.into_iter().map(permitted).collect::<Result<_, DaemonError>>()?,
+        })
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Permitted> {
+        [&self.stop, &self.see, &self.command, &self.publish].into_iter().chain(self.bound.values())
+    }
+
+    fn may_ask(&self, peer: &Peer, word: Word) -> bool {
+        let right = match word {
+            Word::Status => &self.see,
+            word if word.is_direct() => &self.stop,
+            _ => &self.command,
+        };
+        right.contains(peer) || self.command.contains(peer)
+    }
+
+    fn may_publish(&self, peer: &Peer, content: Content, source_id: u32) -> bool {
+        match content {
+            Content::Targets => self.command.contains(peer),
+            Content::Obstacles => self.bound.get(&source_id).unwrap_or(&self.publish).contains(peer),
+        }
+    }
 }
 
 impl OperatorSocket {
@@ -75,8 +133,7 @@ impl OperatorSocket {
     /// [`DaemonError::Access`] for a name that nobody has; a folder that cannot be had or trusted; a daemon that listens
     /// there already.
     pub(crate) fn bind(address: &Address, access: &AccessConfig) -> Result<Self, DaemonError> {
-        let stop = Permitted::new("stop", access.stop.as_deref())?;
-        let see = Permitted::new("see", access.see.as_deref())?;
+        let rights = Rights::new(access)?;
         let base = run_dir::own(address.given.as_deref())?;
         run_dir::make(&base.join(&address.arm))?;
         let path = address.path_in(&base);
@@ -89,7 +146,7 @@ impl OperatorSocket {
             _ => {}
         }
         let listener = UnixListener::bind(&path).map_err(socket)?;
-        let this = Self { listener, path: path.clone(), stop, see };
+        let this = Self { listener, path: path.clone(), rights };
         let mode = this.mode();
         fs::set_permissions(&path, fs::Permissions::from_mode(mode)).map_err(socket)?;
         this.listener.set_nonblocking(true).map_err(socket)?;
@@ -103,8 +160,8 @@ impl OperatorSocket {
 
     /// Keeps those out who may ask for nothing, as far as the file system can; the rest is asked of the kernel.
     fn mode(&self) -> u32 {
-        let users = !self.stop.users.is_empty() || !self.see.users.is_empty();
-        let mut groups = [self.stop.groups.as_slice(), &self.see.groups].concat();
+        let users = self.rights.all().any(|right| !right.users.is_empty());
+        let mut groups: Vec<u32> = self.rights.all().flat_map(|right| right.groups.iter().copied()).collect();
         groups.sort_unstable();
         groups.dedup();
         match (users, groups.as_slice()) {
@@ -133,7 +190,30 @@ struct Guest {
     since: Instant,
     line: Vec<u8>,
     /// Waits for the control thread's answer to this.
-    asked: Option<(u64, Word)>,
+    asked: Option<(u64, Asked)>,
+}
+
+/// What an answer is waited for.
+#[derive(Debug, Clone, Copy)]
+enum Asked {
+    Word(Word),
+    Target,
+}
+
+impl Asked {
+    fn text(self) -> &'static str {
+        match self {
+            Self::Word(word) => word.text(),
+            Self::Target => "target",
+        }
+    }
+
+    fn line(self) -> String {
+        match self {
+            Self::Word(word) => word.line(),
+            Self::Target => "target".to_owned(),
+        }
+    }
 }
 
 /// What becomes of a guest after a look.
@@ -142,6 +222,8 @@ enum Next {
     Goes,
     /// Wants the report.
     Status,
+    /// Stays, and publishes under an id.
+    Publishes(Content, u32),
 }
 
 /// The thread that listens.
@@ -152,11 +234,24 @@ pub(crate) struct Desk {
     /// Reports are made elsewhere: they take milliseconds, and an order must not wait for one.
     status: SyncSender<UnixStream>,
     guests: Vec<Guest>,
+    streams: Vec<Stream>,
+    /// Streams that were ever opened.
+    opened: u64,
+    /// Streams that have ended, and of which the I/O thread does not know yet.
+    ended: Vec<SocketPort>,
+    /// Sources that the configuration requires.
+    required: Vec<u32>,
 }
 
 impl Desk {
-    pub(crate) fn new(socket: OperatorSocket, direct: DirectEnd, status: SyncSender<UnixStream>) -> Self {
-        Self { socket, direct, status, guests: Vec::with_capacity(CONNECTIONS_MAX) }
+    pub(crate) fn new(
+        socket: OperatorSocket,
+        direct: DirectEnd,
+        status: SyncSender<UnixStream>,
+        required: Vec<u32>,
+    ) -> Self {
+        let guests = Vec::with_capacity(CONNECTIONS_MAX);
+        Self { socket, direct, status, guests, streams: Vec::new(), opened: 0, ended: Vec::new(), required }
     }
 
     /// Listens until `stop` is set.
@@ -170,10 +265,14 @@ impl Desk {
     /// Until somebody connects or speaks, or it is time to look for answers.
     fn wait(&self) {
         let waits = self.guests.iter().any(|guest| guest.asked.is_some());
-        let nanoseconds = if waits { 500_000 } else { 50_000_000 };
+        // A stream that has just sent a line is not looked at before its pause is over.
+        let paused = !self.ended.is_empty() || self.streams.iter().any(|stream| !stream.is_due());
+        let nanoseconds = if waits || paused { 500_000 } else { 50_000_000 };
         let speaking = self.guests.iter().filter(|guest| guest.asked.is_none());
         let mut ends = vec![PollFd::new(&self.socket.listener, PollFlags::IN)];
         ends.extend(speaking.map(|guest| PollFd::new(&guest.stream, PollFlags::IN)));
+        let due = self.streams.iter().filter(|stream| stream.is_due());
+        ends.extend(due.map(|stream| PollFd::new(&stream.stream, PollFlags::IN)));
         // An interrupted wait is a short one.
         let _ = poll(&mut ends, Some(&Timespec { tv_sec: 0, tv_nsec: nanoseconds }));
     }
@@ -191,6 +290,9 @@ impl Desk {
             let guest = self.guests.swap_remove(place);
             answer(&guest, &reply);
         }
+        while let Some(said) = self.direct.next_from_io() {
+            self.pass_on(said);
+        }
         for place in (0..self.guests.len()).rev() {
             match self.listen(place) {
                 Next::Stays => {}
@@ -201,14 +303,69 @@ impl Desk {
                         tracing::debug!(%error, "too many ask for the status");
                     }
                 }
+                Next::Publishes(content, source_id) => {
+                    let guest = self.guests.swap_remove(place);
+                    self.open(guest, content, source_id);
+                }
             }
         }
+        self.look_at_streams();
+    }
+
+    /// What the I/O thread says.
+    fn pass_on(&mut self, said: ToSocket) {
+        match said {
+            ToSocket::Answer(ticket, response) => {
+                let Some(place) = self.guests.iter().position(|g| g.asked.is_some_and(|(t, _)| t == ticket)) else {
+                    return;
+                };
+                let guest = self.guests.swap_remove(place);
+                answer_of_io(&guest, &response);
+            }
+            ToSocket::Fate(port, fate) => {
+                if let Some(stream) = self.streams.iter_mut().find(|stream| stream.port == port) {
+                    stream.hear(fate);
+                }
+            }
+        }
+    }
+
+    /// Gives a place to somebody who publishes.
+    fn open(&mut self, guest: Guest, content: Content, source_id: u32) {
+        let is_required = |id: u32| content == Content::Obstacles && self.required.contains(&id);
+        let alike = self.streams.iter().filter(|stream| is_required(stream.source_id) == is_required(source_id));
+        if alike.count() >= STREAMS_MAX {
+            return tell(&guest.stream, &Said::Refused("all places for those who publish are taken".into()));
+        }
+        let port = SocketPort::new(self.opened, guest.peer.pid);
+        self.opened += 1;
+        let rest = guest.line.iter().position(|byte| *byte == b'\n').map_or(&[][..], |end| &guest.line[end + 1..]);
+        let (uid, pid) = (guest.peer.uid, guest.peer.pid);
+        tracing::info!(uid, pid, source_id, "publishes {content:?}");
+        self.streams.push(Stream::new(guest.stream, port, source_id, content, rest));
+    }
+
+    /// At most a line of each.
+    fn look_at_streams(&mut self) {
+        for place in (0..self.streams.len()).rev() {
+            match self.streams[place].look() {
+                Found::Nothing => {}
+                Found::Line(line) => {
+                    if self.direct.hand_io(line).is_err() {
+                        self.streams[place].tell(Err(RefusalReason::Busy.text().into()));
+                    }
+                }
+                Found::End => self.ended.push(self.streams.swap_remove(place).port),
+            }
+        }
+        let direct = &mut self.direct;
+        self.ended.retain(|port| direct.hand_io(BySocket::Gone(*port)).is_err());
     }
 
     fn welcome(&mut self, stream: UnixStream) {
         let known = stream.set_nonblocking(true).and_then(|()| peer::of(stream.as_fd()));
         let Ok(peer) = known else { return };
-        if !self.socket.stop.contains(&peer) && !self.socket.see.contains(&peer) {
+        if !self.socket.rights.all().any(|right| right.contains(&peer)) {
             return refuse(&stream, &peer, "anything");
         }
         if self.guests.len() == CONNECTIONS_MAX {
@@ -225,9 +382,9 @@ impl Desk {
     fn listen(&mut self, place: usize) -> Next {
         let Self { guests, direct, socket, .. } = self;
         let guest = &mut guests[place];
-        if let Some((_, word)) = guest.asked {
+        if let Some((_, asked)) = guest.asked {
             if guest.since.elapsed() > ANSWER {
-                tell(&guest.stream, &Said::Answer(unanswered(word, RefusalReason::NoAnswer)));
+                tell(&guest.stream, &Said::Answer(unanswered(asked, RefusalReason::NoAnswer)));
                 return Next::Goes;
             }
             return Next::Stays;
@@ -242,9 +399,18 @@ impl Desk {
             Err(e) if [io::ErrorKind::WouldBlock, io::ErrorKind::Interrupted].contains(&e.kind()) => false,
             Err(_) => return Next::Goes,
         };
-        let line = guest.line.split(|byte| *byte == b'\n').next().unwrap_or_default();
-        if !ended && line.len() == guest.line.len() && line.len() < LINE_BYTES_MAX {
+        let end = guest.line.iter().position(|byte| *byte == b'\n');
+        if !ended && end.is_none() && guest.line.len() < LINE_BYTES_MAX {
             return if guest.since.elapsed() > PATIENCE { Next::Goes } else { Next::Stays };
+        }
+        let line = String::from_utf8_lossy(&guest.line[..end.unwrap_or(guest.line.len())]).trim().to_owned();
+        let order = Order::of(&line);
+        if let Ok(Order::Publish(content, source_id)) = order {
+            if socket.rights.may_publish(&guest.peer, content, source_id) {
+                return Next::Publishes(content, source_id);
+            }
+            refuse(&guest.stream, &guest.peer, &line);
+            return Next::Goes;
         }
         // What is left unread would take the answer along when the connection is closed.
         let mut rest = [0; 4096];
@@ -253,28 +419,79 @@ impl Desk {
                 break;
             }
         }
-        let word = match Word::parse(line) {
-            Ok(word) => word,
+        let (uid, pid) = (guest.peer.uid, guest.peer.pid);
+        let (asked, ticket) = match order {
             Err(why) => {
                 tell(&guest.stream, &Said::Refused(why));
                 return Next::Goes;
             }
+            Ok(Order::Target(request)) => {
+                if !socket.rights.command.contains(&guest.peer) {
+                    refuse(&guest.stream, &guest.peer, "target");
+                    return Next::Goes;
+                }
+                (Asked::Target, direct.ask_io(*request))
+            }
+            Ok(Order::Word(word)) => {
+                if !socket.rights.may_ask(&guest.peer, word) {
+                    refuse(&guest.stream, &guest.peer, word.text());
+                    return Next::Goes;
+                }
+                let Some(kind) = word.request() else { return Next::Status };
+                let speed_scale = if let Word::Speed(scale) = word { scale } else { 1.0 };
+                let ticket =
+                    if word.is_direct() { direct.ask(kind, speed_scale) } else { direct.ask_io(Request::new(kind)) };
+                (Asked::Word(word), ticket)
+            }
+            Ok(Order::Publish(..)) => return Next::Goes,
         };
-        let permitted = if word == Word::Status { &socket.see } else { &socket.stop };
-        if !permitted.contains(&guest.peer) {
-            refuse(&guest.stream, &guest.peer, word.text());
-            return Next::Goes;
-        }
-        let Some(kind) = word.request() else { return Next::Status };
-        let (uid, pid) = (guest.peer.uid, guest.peer.pid);
-        tracing::info!(uid, pid, "asked for {}", word.line().trim_end());
-        let speed_scale = if let Word::Speed(scale) = word { scale } else { 1.0 };
-        (guest.asked, guest.since) = (direct.ask(kind, speed_scale).map(|ticket| (ticket, word)), Instant::now());
+        tracing::info!(uid, pid, "asked for {}", asked.line());
+        (guest.asked, guest.since) = (ticket.map(|ticket| (ticket, asked)), Instant::now());
         if guest.asked.is_some() {
             return Next::Stays;
         }
-        tell(&guest.stream, &Said::Answer(unanswered(word, RefusalReason::Busy)));
+        tell(&guest.stream, &Said::Answer(unanswered(asked, RefusalReason::Busy)));
         Next::Goes
+    }
+}
+
+/// What a line asks for.
+enum Order {
+    Word(Word),
+    Target(Box<Request>),
+    Publish(Content, u32),
+}
+
+impl Order {
+    /// What is meant; why it is not understood, in words.
+    fn of(line: &str) -> Result<Self, String> {
+        if let Some(word) = Word::parse(line) {
+            return word.map(Self::Word);
+        }
+        if let Some(text) = line.strip_prefix("target ") {
+            let point: PointLine = serde_json::from_str(text).map_err(|error| format!("target: {error}"))?;
+            let target = point.point(TARGET_SOURCE_ID, 0).map_err(|why| format!("target: {why}"))?;
+            let mut request = Request { target: *target, ..Request::new(RequestKind::SetTarget) };
+            request.header.source_id = TARGET_SOURCE_ID;
+            return Ok(Self::Target(Box::new(request)));
+        }
+        let published = line.strip_prefix("publish ").and_then(|rest| {
+            let (what, id) = rest.split_once(' ')?;
+            let content = match what {
+                "obstacles" => Content::Obstacles,
+                "targets" => Content::Targets,
+                _ => return None,
+            };
+            Some(Self::Publish(content, id.trim().parse().ok()?))
+        });
+        published.ok_or_else(|| {
+            let words: Vec<&str> = Word::ALONE.iter().map(|word| word.text()).collect();
+            format!(
+                "expected a line with one of {}, speed and a share of the configured one (`speed 50%`), target {{...}}, \
+                 publish obstacles ID, publish targets ID",
+                words.join(", ")
+            )
+        })
     }
 }
 
@@ -288,9 +505,9 @@ fn refuse(stream: &UnixStream, peer: &Peer, what: &str) {
 }
 
 /// An answer that the control thread did not give.
-fn unanswered(word: Word, reason: RefusalReason) -> Answer {
+fn unanswered(asked: Asked, reason: RefusalReason) -> Answer {
     Answer {
-        asked: word.text().into(),
+        asked: asked.text().into(),
         accepted: false,
         reason: reason.wire(),
         detail: 0,
@@ -302,15 +519,15 @@ fn unanswered(word: Word, reason: RefusalReason) -> Answer {
 }
 
 fn answer(guest: &Guest, reply: &Reply) {
-    let Some((_, word)) = guest.asked else { return };
+    let Some((_, asked)) = guest.asked else { return };
     let accepted = reply.verdict == Verdict::Accepted;
-    let text = match word {
-        Word::Speed(scale) if accepted => speed_text(reply.supervisor, scale),
+    let text = match asked {
+        Asked::Word(Word::Speed(scale)) if accepted => speed_text(reply.supervisor, scale),
         _ if accepted => reply.supervisor.text().into(),
         _ => refusal_text(reply.reason, reply.detail).into(),
     };
     let answer = Answer {
-        asked: word.text().into(),
+        asked: asked.text().into(),
         accepted,
         reason: reply.reason.wire(),
         detail: reply.detail,
@@ -322,8 +539,30 @@ fn answer(guest: &Guest, reply: &Reply) {
     tell(&guest.stream, &Said::Answer(answer));
 }
 
+/// The same as the I/O thread has it, in its words.
+fn answer_of_io(guest: &Guest, response: &Response) {
+    let Some((_, asked)) = guest.asked else { return };
+    let reason = RefusalReason::from_wire(response.reason);
+    let text = match reason {
+        // The text names the cause.
+        Some(RefusalReason::BadTarget | RefusalReason::None) | None => response.text(),
+        Some(reason) => refusal_text(reason, response.detail),
+    };
+    let answer = Answer {
+        asked: asked.text().into(),
+        accepted: response.is_accepted(),
+        reason: response.reason,
+        detail: response.detail,
+        supervisor: response.supervisor,
+        fault_code: response.fault_code,
+        fault_detail: response.fault_detail,
+        text: text.into(),
+    };
+    tell(&guest.stream, &Said::Answer(answer));
+}
+
 /// A line, if it can be had at once: an answer fits into the socket's buffer.
-fn tell(mut stream: &UnixStream, said: &Said) {
+pub(super) fn tell(mut stream: &UnixStream, said: &Said) {
     let mut line = serde_json::to_vec(said).unwrap_or_default();
     line.push(b'\n');
     if let Err(error) = stream.write_all(&line) {

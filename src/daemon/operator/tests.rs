@@ -2,8 +2,8 @@ use super::server::{Desk, OperatorSocket};
 use super::*;
 use crate::config::{AccessConfig, Who};
 use crate::daemon::DaemonError;
-use crate::ipc::payload::{RefusalReason, SupervisorState};
-use crate::ipc::{ChannelCapacity, ControlInputs, ControlOutputs, Reply, channels};
+use crate::ipc::payload::{Obstacle, RefusalReason, RejectCause, SupervisorState};
+use crate::ipc::{BySocket, ChannelCapacity, ControlInputs, ControlOutputs, IoEnds, Reply, ToSocket, channels};
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixListener;
@@ -13,7 +13,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 
 const WAIT: Duration = Duration::from_secs(20);
-const OPEN: AccessConfig = AccessConfig { stop: None, see: None };
+const OPEN: AccessConfig = AccessConfig { stop: None, see: None, command: Vec::new(), publish: Vec::new() };
 
 /// A desk whose control thread's ends are in the test's hands.
 struct Bench {
@@ -21,6 +21,7 @@ struct Bench {
     _place: tempfile::TempDir,
     inputs: ControlInputs,
     outputs: ControlOutputs,
+    io: IoEnds,
     status: Receiver<UnixStream>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -34,15 +35,15 @@ impl Bench {
     fn new() -> Self {
         let place = tempfile::tempdir().unwrap();
         let address = address(&place);
-        let (inputs, outputs, _, direct) = channels(24, 4, &[], ChannelCapacity::default());
+        let (inputs, outputs, io, direct) = channels(24, 4, &[], ChannelCapacity::default());
         let (to, status) = sync_channel(4);
-        let desk = Desk::new(OperatorSocket::bind(&address, &OPEN).unwrap(), direct, to);
+        let desk = Desk::new(OperatorSocket::bind(&address, &OPEN).unwrap(), direct, to, Vec::new());
         let stop = Arc::new(AtomicBool::new(false));
         let thread = Some(std::thread::spawn({
             let stop = stop.clone();
             move || desk.run(&stop)
         }));
-        Self { address, _place: place, inputs, outputs, status, stop, thread }
+        Self { address, _place: place, inputs, outputs, io, status, stop, thread }
     }
 
     fn asks(&self, word: Word) -> JoinHandle<Said> {
@@ -64,6 +65,18 @@ impl Bench {
         let accepted = Reply::accepted(&command, state);
         self.outputs.reply(refused.map_or(accepted, |reason| Reply::refused(&command, state, reason)));
         command.kind
+    }
+
+    /// The next word for the I/O thread.
+    fn for_io(&mut self) -> BySocket {
+        let deadline = Instant::now() + WAIT;
+        loop {
+            if let Ok(what) = self.io.by_socket.pop() {
+                return what;
+            }
+            assert!(Instant::now() < deadline, "nothing came");
+            std::thread::yield_now();
+        }
     }
 
     fn says(&self, text: &[u8]) -> String {
@@ -121,6 +134,93 @@ fn a_report_is_made_by_somebody_else_and_orders_do_not_wait_for_it() {
 }
 
 #[test]
+fn what_moves_the_arm_goes_through_the_io_thread_and_so_does_a_target() {
+    let mut bench = Bench::new();
+    for (word, kind) in
+        [(Word::Arm, RequestKind::Arm), (Word::Track, RequestKind::Track), (Word::Clear, RequestKind::Clear)]
+    {
+        let asking = bench.asks(word);
+        let BySocket::Ask(ticket, request) = bench.for_io() else { panic!("no request") };
+        assert_eq!(request.kind, kind.wire());
+        bench.io.to_socket.push(ToSocket::Answer(ticket, Response::default())).unwrap();
+        let Said::Answer(answer) = asking.join().unwrap() else { panic!("no answer") };
+        assert!(answer.accepted && answer.asked == word.text(), "{answer:?}");
+    }
+    let address = bench.address.clone();
+    let target = Target { position_m: [0.1, 0.2, -2.0], ..Target::default() };
+    let asking = std::thread::spawn(move || address.set_target(&target, WAIT).unwrap());
+    let BySocket::Ask(ticket, request) = bench.for_io() else { panic!("no request") };
+    assert_eq!((request.kind, request.target.position_m), (RequestKind::SetTarget.wire(), [0.1, 0.2, -2.0]));
+    bench.io.to_socket.push(ToSocket::Answer(ticket, Response::default())).unwrap();
+    assert!(matches!(asking.join().unwrap(), Said::Answer(Answer { accepted: true, .. })));
+    assert!(bench.says(b"target {\"position_m\":[0,0]}\n").contains("target: "));
+}
+
+#[test]
+fn whoever_publishes_is_heard_line_by_line_and_told_what_changes() {
+    let mut bench = Bench::new();
+    let mut publisher = bench.address.publisher(7, WAIT).unwrap();
+    let heard = |publisher: &mut SocketPublisher| {
+        let deadline = Instant::now() + WAIT;
+        loop {
+            if let Some(heard) = publisher.heard().unwrap() {
+                return heard;
+            }
+            assert!(Instant::now() < deadline, "nothing was said");
+            std::thread::yield_now();
+        }
+    };
+    let mut set = Obstacles::default();
+    assert!(set.push(Obstacle::ball(3, [1.0, 0.0, -1.0], 0.2)));
+    let mut ports = Vec::new();
+    for (sequence, fate) in [Ok(()), Ok(()), Err(RejectCause::Future), Ok(())].into_iter().enumerate() {
+        publisher.publish(&set).unwrap();
+        let BySocket::Obstacles(port, got) = bench.for_io() else { panic!("no set") };
+        assert_eq!((got.header.source_id, got.header.sequence), (7, sequence as u64));
+        assert_eq!(got.used(), set.used());
+        ports.push(port);
+        bench.io.to_socket.push(ToSocket::Fate(port, fate)).unwrap();
+        match (sequence, fate) {
+            (1, _) => {}
+            (_, Ok(())) => assert_eq!(heard(&mut publisher), Ok(())),
+            (_, Err(cause)) => assert_eq!(heard(&mut publisher), Err(cause.text().to_owned())),
+        }
+    }
+    ports.dedup();
+    assert_eq!(ports.len(), 1);
+    // Rubbish is told and ends nothing; a line without an end ends all.
+    publisher.line.stream.set_nonblocking(false).unwrap();
+    publisher.line.stream.write_all(b"{\"obstacles\": 5}\n").unwrap();
+    publisher.line.stream.set_nonblocking(true).unwrap();
+    assert!(heard(&mut publisher).unwrap_err().contains("not understood"));
+    publisher.publish(&set).unwrap();
+    assert!(matches!(bench.for_io(), BySocket::Obstacles(..)));
+    publisher.line.stream.set_nonblocking(false).unwrap();
+    let _ = publisher.line.stream.write_all(&[b' '; 200 << 10]);
+    assert!(matches!(bench.for_io(), BySocket::Gone(port) if port == ports[0]));
+    for bad in ["publish obstacles\n", "publish obstacles x\n", "publish balls 7\n"] {
+        assert!(bench.says(bad.as_bytes()).contains("expected a line"), "{bad}");
+    }
+}
+
+#[test]
+fn nobody_takes_the_places_of_all_who_publish() {
+    let mut bench = Bench::new();
+    let mut streams: Vec<_> = (0..16).map(|id| bench.address.publisher(id, WAIT).unwrap()).collect();
+    for stream in &mut streams {
+        stream.publish(&Obstacles::default()).unwrap();
+        assert!(matches!(bench.for_io(), BySocket::Obstacles(..)));
+    }
+    assert!(bench.says(b"publish obstacles 99\n").contains("all places"));
+    // Orders have places of their own, and so have sources that must be there.
+    let asking = bench.asks(Word::Status);
+    let mut stream = bench.status.recv_timeout(WAIT).unwrap();
+    stream.write_all(br#"{"refused":"later"}"#).unwrap();
+    drop(stream);
+    assert!(matches!(asking.join().unwrap(), Said::Refused(_)));
+}
+
+#[test]
 fn a_control_thread_that_does_not_answer_is_told_as_such() {
     let bench = Bench::new();
     let Said::Answer(answer) = bench.address.ask(Word::Stop, WAIT).unwrap() else { panic!("no answer") };
@@ -130,7 +230,7 @@ fn a_control_thread_that_does_not_answer_is_told_as_such() {
 #[test]
 fn words_come_by_hand_too_and_what_is_none_is_told() {
     let mut bench = Bench::new();
-    for bad in [b"halt\n".as_slice(), b"stop it\n", &[b'x'; 200], b"\n", b"stop\0\n", &[0xff; 64]] {
+    for bad in [b"halt\n".as_slice(), b"stop it\n", &[b'x'; 5000], b"\n", b"stop\0\n", &[0xff; 4096]] {
         assert!(bench.says(bad).contains("expected a line"), "{bad:?}");
     }
     let path = bench.address.path_in(bench._place.path());
@@ -150,7 +250,7 @@ fn words_come_by_hand_too_and_what_is_none_is_told() {
 fn a_speed_is_a_share_or_per_cent_and_anything_else_is_told_with_what_is_permitted() {
     for (text, scale) in [("50%", 0.5), ("0.5", 0.5), ("1%", 0.01), (" 100 % ", 1.0), ("1", 1.0), ("12.5%", 0.125)] {
         assert_eq!(parse_speed(text), Ok(scale), "{text}");
-        assert_eq!(Word::parse(Word::Speed(scale).line().as_bytes()), Ok(Word::Speed(scale)));
+        assert_eq!(Word::parse(&Word::Speed(scale).line()), Some(Ok(Word::Speed(scale))));
     }
     for bad in ["0", "0%", "0.5%", "101%", "1.01", "-0.5", "50", "half", "", "%", "nan", "inf", "1e400", "0.5 0.5"] {
         let why = parse_speed(bad).unwrap_err();
@@ -189,11 +289,11 @@ fn the_socket_is_there_once_and_gone_afterwards_and_what_a_killed_daemon_left_is
     assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o660, "for the own group");
     drop(socket);
     assert!(!path.exists() && !path.parent().unwrap().exists());
-    let nobody = AccessConfig { stop: Some(Vec::new()), see: Some(Vec::new()) };
+    let nobody = AccessConfig { stop: Some(Vec::new()), see: Some(Vec::new()), ..OPEN };
     let socket = OperatorSocket::bind(&address, &nobody).unwrap();
     assert_eq!(fs::metadata(socket.path()).unwrap().mode() & 0o777, 0o600);
     drop(socket);
-    let unknown = AccessConfig { stop: Some(vec![Who::Group("no-such-group".into())]), see: None };
+    let unknown = AccessConfig { stop: Some(vec![Who::Group("no-such-group".into())]), ..OPEN };
     let error = OperatorSocket::bind(&address, &unknown).unwrap_err().to_string();
     assert!(error.contains("[access] stop") && error.contains("no-such-group"), "{error}");
 }

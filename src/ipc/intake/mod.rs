@@ -46,11 +46,6 @@ impl Default for InputLimits {
     }
 }
 
-/// Nanoseconds of a duration in seconds; negative and NaN give 0, too large ones the largest.
-pub(crate) fn seconds_to_ns(seconds: f64) -> u64 {
-    (seconds * 1e9) as u64
-}
-
 /// Difference `later - earlier` (s), negative if `later` is earlier.
 pub(crate) fn elapsed_s(earlier_ns: u64, later_ns: u64) -> f64 {
     if later_ns >= earlier_ns {

@@ -3,7 +3,7 @@
 use super::{InputLimits, SourceLog, check, elapsed_s};
 use crate::ipc::payload::{
     FLAG_LEAVING, MAX_OBSTACLES, MAX_SOURCES, MAX_TRACKED, MAX_VERTICES, Obstacle, ObstacleKind, Obstacles,
-    RejectCause, SourceHealth, State,
+    RejectCause, SourceHealth, SourceReport, State,
 };
 
 /// One source's place in the table.
@@ -13,6 +13,9 @@ struct Slot {
     /// The configuration names this source: its absence asks for a hold.
     declared: bool,
     used: bool,
+    /// When another process was last refused the id of this declared source (ns): which of them is the right one, nobody
+    /// knows.
+    contested_ns: Option<u64>,
     set: Obstacles,
     /// Largest standard deviation of each obstacle (m); computed on arrival, off the control thread.
     sigma_m: [f64; MAX_OBSTACLES],
@@ -24,9 +27,16 @@ impl Slot {
             log: SourceLog::new(0),
             declared: false,
             used: false,
+            contested_ns: None,
             set: Obstacles::default(),
             sigma_m: [0.0; MAX_OBSTACLES],
         }
+    }
+
+    /// Health of the source; a declared one whose id two processes claim is not to be believed.
+    fn health(&self, now_ns: u64, limits: &InputLimits) -> SourceHealth {
+        let contested = self.contested_ns.is_some_and(|at_ns| elapsed_s(at_ns, now_ns) <= limits.hold_after_s);
+        if contested { SourceHealth::Refused } else { self.log.health(now_ns, limits) }
     }
 
     fn obstacles(&self) -> &[Obstacle] {
@@ -163,6 +173,7 @@ impl ObstacleTable {
         let slot = &mut self.slots[place];
         if slot.log.taken_by(publisher).is_some() {
             slot.log.reject(RejectCause::TooManySources);
+            slot.contested_ns = slot.declared.then_some(now_ns);
             return Err(RejectCause::TooManySources);
         }
         match slot
@@ -236,6 +247,7 @@ impl ObstacleTable {
             mine.log = theirs.log;
             mine.declared = theirs.declared;
             mine.used = theirs.used;
+            mine.contested_ns = theirs.contested_ns;
             copy_used(&mut mine.set, &theirs.set);
             let count = theirs.set.used().len();
             mine.sigma_m[..count].copy_from_slice(&theirs.sigma_m[..count]);
@@ -291,7 +303,7 @@ impl ObstacleTable {
     /// What the sources ask for at `now`.
     pub fn demand(&self, now_ns: u64, limits: &InputLimits) -> ObstacleDemand {
         for slot in self.slots.iter().filter(|s| s.used) {
-            let hold = match slot.log.health(now_ns, limits) {
+            let hold = match slot.health(now_ns, limits) {
                 SourceHealth::Fresh | SourceHealth::Held | SourceHealth::Stale => false,
                 SourceHealth::Absent => slot.declared,
                 // It sees something, perhaps, and nobody knows what.
@@ -344,8 +356,11 @@ impl ObstacleTable {
     pub fn report_into(&self, now_ns: u64, limits: &InputLimits, state: &mut State) {
         state.stale_sources = 0;
         for (slot, report) in self.slots.iter().zip(&mut state.obstacle_sources) {
-            *report = if slot.used { slot.log.report(now_ns, limits) } else { Default::default() };
-            let health = slot.log.health(now_ns, limits);
+            let health = slot.health(now_ns, limits);
+            *report = match slot.used {
+                true => SourceReport { health: health.wire(), ..slot.log.report(now_ns, limits) },
+                false => SourceReport::default(),
+            };
             state.stale_sources +=
                 u64::from(matches!(health, SourceHealth::Stale | SourceHealth::Expired | SourceHealth::Refused));
         }

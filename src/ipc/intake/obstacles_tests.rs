@@ -211,6 +211,30 @@ fn an_id_belongs_to_the_port_that_was_accepted_first() {
 }
 
 #[test]
+fn a_declared_source_whose_id_two_processes_claim_holds_the_arm_and_another_goes_on() {
+    for (declared, expected) in [(&[7][..], ObstacleDemand::Hold { source_id: 7 }), (&[][..], ObstacleDemand::Proceed)]
+    {
+        let mut table = ObstacleTable::new(declared);
+        table.accept_from(&set(7, 0, NOW, &[ball(1)]), 1, NOW, &LIMITS).unwrap();
+        assert_eq!(table.demand(NOW, &LIMITS), ObstacleDemand::Proceed);
+        let other = table.accept_from(&set(7, 1, NOW, &[]), 2, NOW, &LIMITS);
+        assert_eq!(other, Err(RejectCause::TooManySources));
+        let mut copy = ObstacleTable::new(declared);
+        copy.copy_from(&table);
+        assert_eq!(copy.demand(NOW, &LIMITS), expected);
+        let mut state = State::default();
+        copy.report_into(NOW, &LIMITS, &mut state);
+        let health = if declared.is_empty() { SourceHealth::Fresh } else { SourceHealth::Refused };
+        assert_eq!(state.obstacle_sources[0].health, health.wire());
+        assert_eq!(track(&copy, NOW, 0.0).len(), 1, "what the first one saw is kept");
+        // The other one has given up.
+        let later = NOW + SECOND;
+        table.accept_from(&set(7, 2, later, &[ball(1)]), 1, later, &LIMITS).unwrap();
+        assert_eq!(table.demand(later, &LIMITS), ObstacleDemand::Proceed);
+    }
+}
+
+#[test]
 fn a_leaving_source_is_not_missed_unless_declared() {
     let mut table = ObstacleTable::new(&[4]);
     for source in [4, 5] {

@@ -1,7 +1,8 @@
 //! One source's clock, sequence and counters.
 
-use super::{InputLimits, elapsed_s, seconds_to_ns};
+use super::{InputLimits, elapsed_s};
 use crate::ipc::payload::{Header, NO_TICK, REJECT_CAUSES, RejectCause, SCHEMA_VERSION, SourceHealth, SourceReport};
+use sinew_hal::clock::seconds_to_ns;
 
 /// Messages too old on arrival by which it shows that their source lives: several clients of one id may have died.
 const TOO_OLD_MIN: u64 = 4;

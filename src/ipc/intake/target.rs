@@ -1,9 +1,10 @@
 //! Desired motion: points in time, interpolated.
 
 use super::encoders::admit;
-use super::{InputLimits, SourceLog, check, elapsed_s, seconds_to_ns};
+use super::{InputLimits, SourceLog, check, elapsed_s};
 use crate::ipc::payload::{MAX_CURVATURES, RejectCause, SourceHealth, SourceReport, Target, TargetMode};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use sinew_hal::clock::seconds_to_ns;
 
 /// Points kept: 0.6 s ahead at 100 Hz, with the one in use.
 pub const TRACK_POINTS: usize = 64;

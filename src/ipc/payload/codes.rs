@@ -179,6 +179,30 @@ wire_enum! {
 }
 
 wire_enum! {
+    /// What is wrong beside faults and limits, whose alarms have their own codes.
+    AlarmCode {
+        /// A source of obstacles is silent.
+        SourceStale = 500, "the source is silent";
+        /// A source of obstacles is too old.
+        SourceExpired = 501, "the source is too old";
+        /// Sets of a source of obstacles are refused.
+        SourceRefused = 502, "sets are refused";
+        /// A source of obstacles that must be there is not.
+        SourceAbsent = 503, "the source is absent";
+        /// The target that is followed is too old.
+        TargetExpired = 504, "the target is too old";
+        /// A drive is in fault while the arm is disarmed.
+        DriveFault = 505, "a drive cannot be used";
+        /// Drives lack a protection, which the configuration accepts.
+        DrivesLack = 506, "drives lack a protection";
+        /// A real-time right was not granted.
+        RealTime = 507, "a real-time right was not granted";
+        /// The recording ended early.
+        Recording = 508, "the recording ended early";
+    }
+}
+
+wire_enum! {
     /// What an operator asks for.
     RequestKind {
         /// Enable the drives and hold the pose.

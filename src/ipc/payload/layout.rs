@@ -34,8 +34,9 @@ fn layouts() -> Vec<Layout> {
         layout!(Target: header, valid_from_ns, mode, segment_count, position_m, quaternion, velocity_mps, angular_velocity_radps, curvature_1pm, curvature_rate_1pms, weight),
         layout!(ObstacleDistance: source_id, obstacle_id, surface_distance_m, growth_m),
         layout!(SourceReport: source_id, health, sequence, age_s, accepted, rejected),
+        layout!(AlarmRecord: code, subject, since_ns),
         layout!(TickTiming: wakeup_ns, input_ns, estimate_ns, plan_ns, guard_ns, send_ns, cycle_ns),
-        layout!(State: header, time_s, supervisor, fault_code, fault_detail, planner_status, planner_branch, newton_iterations, swarm_sweeps, target_mode, target_sequence, cost, kkt_residual, cable_count, segment_count, node_count, node_stride, distance_count, distance_dropped, tension_command_n, tension_measured_n, cable_length_m, tip_position_m, tip_quaternion, tip_velocity_mps, tip_angular_velocity_radps, target_position_m, target_quaternion, tip_error_m, quaternion_error, curvature_1pm, target_curvature_1pm, curvature_error_1pm, innovation_rad, disturbance_nm, node_position_m, node_quaternion, distances, obstacle_sources, target_report, encoder_report, obstacle_sources_refused, ticks_missed, records_dropped, stale_sources, timing, limits, swing_m, tip_covariance_m2, speed_scale, reach_miss_m, reach_miss_rad, reach_load, reach_nearest_m),
+        layout!(State: header, time_s, supervisor, fault_code, fault_detail, planner_status, planner_branch, newton_iterations, swarm_sweeps, target_mode, target_sequence, cost, kkt_residual, cable_count, segment_count, node_count, node_stride, distance_count, distance_dropped, tension_command_n, tension_measured_n, cable_length_m, tip_position_m, tip_quaternion, tip_velocity_mps, tip_angular_velocity_radps, target_position_m, target_quaternion, tip_error_m, quaternion_error, curvature_1pm, target_curvature_1pm, curvature_error_1pm, innovation_rad, disturbance_nm, node_position_m, node_quaternion, distances, obstacle_sources, target_report, encoder_report, obstacle_sources_refused, ticks_missed, records_dropped, stale_sources, timing, limits, swing_m, tip_covariance_m2, speed_scale, reach_miss_m, reach_miss_rad, reach_load, reach_nearest_m, fault_values, fault_flags, alarm_count, alarms),
         layout!(Request: header, kind, reserved, target, speed_scale),
         layout!(Response: header, verdict, reason, detail, supervisor, fault_code, fault_detail, text),
     ]
@@ -119,6 +120,7 @@ fn the_document_lists_every_code() {
         PlannerBranch,
         SourceHealth,
         RejectCause,
+        AlarmCode,
         RequestKind,
         Verdict,
         RefusalReason

@@ -42,6 +42,8 @@ pub const MAX_VERTICES: usize = 256;
 pub const MAX_SOURCES: usize = 8;
 /// Most obstacles of all sources together.
 pub const MAX_TRACKED: usize = 256;
+/// Most alarms in [`State`].
+pub const MAX_ALARMS: usize = 32;
 /// Places for counters of [`RejectCause`].
 pub const REJECT_CAUSES: usize = 16;
 

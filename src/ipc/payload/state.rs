@@ -1,6 +1,6 @@
 //! The full record of a tick.
 
-use super::{Header, MAX_CABLES, MAX_CURVATURES, MAX_NODES, MAX_SOURCES, MAX_TRACKED, REJECT_CAUSES};
+use super::{Header, MAX_ALARMS, MAX_CABLES, MAX_CURVATURES, MAX_NODES, MAX_SOURCES, MAX_TRACKED, REJECT_CAUSES};
 use iceoryx2::prelude::ZeroCopySend;
 
 /// Distance of the arm to one tracked obstacle.
@@ -44,6 +44,19 @@ impl SourceReport {
     }
 }
 
+/// An alarm that is on: what is wrong, and since when. Its words go with the code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("sinew.AlarmRecord.v1")]
+pub struct AlarmRecord {
+    /// Code of the fault, of the limit, or [`super::AlarmCode`].
+    pub code: u32,
+    /// What it is about, by code: the fault's detail, a source id, a count of drives.
+    pub subject: u32,
+    /// Time of the tick at which it was seen first (ns).
+    pub since_ns: u64,
+}
+
 /// Where a tick's time went (ns).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
 #[repr(C)]
@@ -55,9 +68,9 @@ pub struct TickTiming {
     pub input_ns: u64,
     /// Observer.
     pub estimate_ns: u64,
-    /// Planner.
+    /// Supervisor and planner.
     pub plan_ns: u64,
-    /// Guard and supervisor.
+    /// Guard.
     pub guard_ns: u64,
     /// Handing the tensions to the drives.
     pub send_ns: u64,
@@ -154,7 +167,7 @@ pub struct State {
     pub encoder_report: SourceReport,
     /// Obstacle sets refused because all places for sources are taken.
     pub obstacle_sources_refused: u64,
-    /// Ticks that began after the next one was due.
+    /// Ticks left out since the loop began, because it was late.
     pub ticks_missed: u64,
     /// Records that found their queue full.
     pub records_dropped: u64,
@@ -178,6 +191,14 @@ pub struct State {
     pub reach_load: f64,
     /// The nearest point (m), base frame; NaN as above.
     pub reach_nearest_m: [f64; 3],
+    /// Numbers that the latched fault carries, by code; NaN where there is none.
+    pub fault_values: [f64; 2],
+    /// Bit 0: another cable of the segment may be the one of the fault.
+    pub fault_flags: u32,
+    /// Number of alarms.
+    pub alarm_count: u32,
+    /// Alarms that are on, as of a tenth of a second ago at most.
+    pub alarms: [AlarmRecord; MAX_ALARMS],
 }
 
 impl Default for State {
@@ -237,6 +258,10 @@ impl Default for State {
             reach_miss_rad: f64::NAN,
             reach_load: f64::NAN,
             reach_nearest_m: [f64::NAN; 3],
+            fault_values: [f64::NAN; 2],
+            fault_flags: 0,
+            alarm_count: 0,
+            alarms: [AlarmRecord::default(); MAX_ALARMS],
         }
     }
 }
