@@ -92,8 +92,8 @@ pub fn simulated_drives(arm: &ArmConfig) -> String {
     let drum_m = 0.03 * arm.length_m();
     let drum_nm = 1.06 * arm.tension_n_max * drum_m;
     let gear = (drum_nm / RATED_NM_MIN).min(10.0);
-    // As many a turn of the drum, whatever the gear.
-    let counts = (40_960.0 / gear).ceil();
+    // As many a turn of the drum, whatever the gear, as far as an encoder counts.
+    let counts = (40_960.0 / gear).ceil().min(1e8);
     let torque_nm = (drum_nm / gear).max(RATED_NM_MIN);
     format!(
         "[drives]\nsafe_tension_n = {:?}\n\n[[drives.buses]]\nname = \"bus0\"\nkind = \"virtual\"\ninterface = \"sinew0\"\n\n\

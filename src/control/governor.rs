@@ -285,7 +285,12 @@ impl Governor {
 
     /// Whether a way to mean curvatures (1/m) is over, and the reference is there.
     pub fn has_arrived(&self, curvatures: &[f64]) -> bool {
-        self.kind == Kind::Shape && !self.on_path() && self.way.bend_between(self.reference(), curvatures) < ARRIVED_RAD
+        // What is let go of on its way swings.
+        let rate = self.rate.iter().zip(&self.length).map(|(rate, length)| rate.abs() * length).fold(0.0, f64::max);
+        self.kind == Kind::Shape
+            && !self.on_path()
+            && self.way.bend_between(self.reference(), curvatures) < ARRIVED_RAD
+            && rate * self.approach_s < ARRIVING_RAD
     }
 
     /// Whether a way is over without having led to its goal.
@@ -618,8 +623,9 @@ const FADE: f64 = 1.57;
 const APPROACH: f64 = 0.78;
 /// Time after which a path that is blocked is given up for the target itself (s).
 const GIVE_UP_S: f64 = 1.0;
-/// A posture is reached within this (rad of bend).
+/// A posture is reached within this (rad of bend), and by a reference that would not go farther than this on its own.
 const ARRIVED_RAD: f64 = 0.01;
+const ARRIVING_RAD: f64 = 0.001;
 /// Time after a path without its goal from which it is not waited for (s).
 const STUCK_S: f64 = 5.0;
 
