@@ -114,9 +114,23 @@ impl Inverse {
     /// One iteration towards a pose, under tensions `u` (N) beside the moments that hold the curvatures.
     ///
     /// # Errors
-    /// The static tangent is singular; the equilibrium stays as it was.
+    /// As [`Self::iterate_by`].
     pub fn iterate(
         &mut self,
+        u: &[f64],
+        position: &Vector3<f64>,
+        quaternion: &Vector4<f64>,
+    ) -> Result<Outcome, Singular> {
+        self.iterate_by(1.0, u, position, quaternion)
+    }
+
+    /// The same by this share of the step.
+    ///
+    /// # Errors
+    /// The static tangent is singular; the equilibrium stays as it was.
+    pub fn iterate_by(
+        &mut self,
+        most: f64,
         u: &[f64],
         position: &Vector3<f64>,
         quaternion: &Vector4<f64>,
@@ -150,7 +164,7 @@ impl Inverse {
         for i in 0..count {
             change_rad = change_rad.max((self.origin[i] + self.step[i] - now[i]).abs() * self.length[i]);
         }
-        let share = (self.settings.turn_max_rad / change_rad).min(1.0);
+        let share = (self.settings.turn_max_rad / change_rad).min(most);
         for i in 0..count {
             self.wanted[i] = now[i] + share * (self.origin[i] + self.step[i] - now[i]);
         }

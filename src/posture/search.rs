@@ -9,6 +9,9 @@ use nalgebra::{Vector3, Vector4};
 
 /// Iterations after which a start is given up.
 const ITERATIONS_MAX: usize = 120;
+/// Iterations with whole steps, and the share of a step after them.
+const WHOLE_STEPS: usize = 50;
+const STEP_SHARE: f64 = 0.3;
 /// Starts tried after the first.
 const STARTS: usize = 6;
 /// Iterations have ended where no bend angle changes by more than this (rad).
@@ -79,7 +82,9 @@ impl Search {
     ) -> bool {
         let Some((iterations, starts)) = &mut self.at else { return true };
         *iterations += 1;
-        if let Ok(outcome) = self.inverse.iterate(u, position, quaternion) {
+        // What the roll counts for changes with the posture, and whole steps may go round in a circle for it.
+        let by = if *iterations < WHOLE_STEPS { 1.0 } else { STEP_SHARE };
+        if let Ok(outcome) = self.inverse.iterate_by(by, u, position, quaternion) {
             let mut converged = outcome.change_rad < CONVERGED_RAD;
             if converged {
                 // What bending costs has held it off the pose: from here it costs nothing, until that changes nothing.
