@@ -169,7 +169,8 @@ pub fn follow(
     Ok(shown)
 }
 
-pub(crate) fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
+/// What a task wants at its time `now`, and `ahead` (s).
+pub fn target(task: &Task, now: f64, ahead: f64) -> TargetInput {
     match task {
         Task::Tip { path, .. } => {
             let at = |t: f64| {

@@ -16,8 +16,7 @@ use sinew::ipc::payload::{
     FLAG_LEAVING, MAX_CURVATURES, Obstacle, ObstacleKind, Obstacles, State, SupervisorState, Target, TargetMode,
 };
 use sinew::ipc::{Client as Daemon, Domain, Message, NewestSubscriber, SourcePublisher, monotonic_ns};
-use sinew_hal::clock::Naps;
-use sinew_hal::clock::seconds_to_ns;
+use sinew_hal::clock::{Naps, seconds_to_ns};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

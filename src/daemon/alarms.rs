@@ -44,6 +44,8 @@ impl Alarm {
 pub(super) struct Seen<'a> {
     pub(super) state: Option<&'a State>,
     pub(super) fault: Option<FaultStatus>,
+    /// Whether the cables still hold the arm after it.
+    pub(super) held: bool,
     pub(super) drives: DriveStatus,
     /// Sources that the configuration requires.
     pub(super) required: &'a [u32],
@@ -113,8 +115,17 @@ const HOLDS: &str = "the arm holds, and may not track";
 fn raised(seen: &Seen<'_>) -> Vec<Alarm> {
     let mut list = Vec::new();
     if let Some(fault) = &seen.fault {
-        let does = "the tensions go to the safe value, the drives off; nothing moves before it is cleared";
-        list.push(alarm((fault.code, fault.detail), "fault", fault.what.clone(), does, fault.clears.clone()));
+        let (does, clears) = match seen.held {
+            true => {
+                let first = "`sinew stop` lets the arm down; then";
+                ("the cables hold the arm as they are declared to", format!("{first} {}", fault.clears))
+            }
+            false => {
+                let does = "the tensions go to the safe value, the drives off; nothing moves before it is cleared";
+                (does, fault.clears.clone())
+            }
+        };
+        list.push(alarm((fault.code, fault.detail), "fault", fault.what.clone(), does, clears));
     } else if let Some(fault) = &seen.drives.fault {
         let id = (AlarmCode::DriveFault.wire(), 0);
         list.push(alarm(id, "drives", fault.clone(), "the arm may not be armed", "mend it, then `sinew clear`"));

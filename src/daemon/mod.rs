@@ -213,6 +213,7 @@ impl Daemon {
             buses: loads.into_iter().map(|load| (load.name, load.share, load.limit)).collect(),
             required: config.obstacles.required.clone(),
             safe_hold: safe_hold_in_words(&config.drives.drives),
+            stays: config.drives.drives.iter().any(|drive| drive.safe_hold.stays()),
             cables: config.arm.cable_names(),
         }));
         let progress = Arc::new(Progress::default());

@@ -219,6 +219,8 @@ pub(crate) struct Fixed {
     pub(crate) required: Vec<u32>,
     /// What becomes of the cables without a master.
     pub(crate) safe_hold: String,
+    /// Whether any of them is declared to stay at a fault.
+    pub(crate) stays: bool,
     /// What its cables are called.
     pub(crate) cables: CableNames,
 }
@@ -348,7 +350,9 @@ impl Shared {
         let state = state.as_deref();
         let fault = state.and_then(|s| fault_status(s, &self.fixed.cables));
         let (required, realtime_refused) = (&self.fixed.required[..], &realtime_refused[..]);
-        let seen = Seen { state, fault, drives, required, realtime_refused, recording_failed };
+        let permits = state.and_then(latched).is_some_and(|fault| fault.permits_holding());
+        let held = permits && self.fixed.stays && drives.enabled > 0;
+        let seen = Seen { state, fault, held, drives, required, realtime_refused, recording_failed };
         self.alarms.lock().unwrap_or_else(PoisonError::into_inner).update(&seen);
     }
 
@@ -449,13 +453,18 @@ pub fn fault_status(state: &State, cables: &CableNames) -> Option<FaultStatus> {
     if code == 0 {
         return None;
     }
-    let fault = Fault::of_parts(code, detail, state.fault_flags, state.fault_values);
+    let fault = latched(state);
     Some(FaultStatus {
         code,
         detail,
         what: fault.map_or("a fault of another version of sinew".into(), |fault| fault.in_words(cables)),
         clears: fault.map_or("see the documentation of that version", |fault| fault.remedy()).to_owned(),
     })
+}
+
+/// The latched fault; `None` without one, or for one of another version.
+fn latched(state: &State) -> Option<Fault> {
+    Fault::of_parts(state.fault_code, state.fault_detail, state.fault_flags, state.fault_values)
 }
 
 fn source_status(report: &SourceReport) -> SourceStatus {

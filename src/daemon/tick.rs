@@ -17,8 +17,7 @@ use crate::ipc::payload::{Header, PlannerBranch, RequestKind, SourceHealth, Stat
 use crate::ipc::{Command, ControlInputs, ControlOutputs, IoLimits, Reply};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew_hal::cia402::CycleWriter;
-use sinew_hal::clock::monotonic_ns;
-use sinew_hal::clock::seconds_to_ns;
+use sinew_hal::clock::{monotonic_ns, seconds_to_ns};
 use sinew_hal::motor_bank::MotorBank;
 
 /// Thresholds of all inputs as the configuration has them.

@@ -204,7 +204,7 @@ pub static CLASSES: &[Class] = &[
     by_root("stranger with a domain of his own", Expect::GoesOn, |t| {
         stranger_script(
             t,
-            "export SINEW_IPC_PREFIX=$PREFIX SINEW_IPC_ROOT=/tmp/stranger-$DAEMON/; \"$SINEW\" obstacles list; rm -rf /tmp/stranger-$DAEMON",
+            "own=$(mktemp -d); export SINEW_IPC_PREFIX=$PREFIX SINEW_IPC_ROOT=$own/; \"$SINEW\" obstacles list; rm -rf \"$own\"",
         );
     }),
     by_root("stranger kills and stops clients", Expect::GoesOn, |t| {

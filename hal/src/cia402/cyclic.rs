@@ -135,7 +135,7 @@ pub struct CycleWriter {
     drives: Vec<Address>,
     /// By bus; `None` where each drive has an RPDO of its own.
     packed: Vec<Option<Packed>>,
-    /// Mean torque of each drive (per mille), and the share by which a cycle moves it.
+    /// Mean torque of each drive (per mille), and the share by which a cycle moves it; 0 where nobody asks for it.
     means: Vec<f32>,
     share: f32,
     shared: Arc<Shared>,
@@ -193,8 +193,10 @@ impl CycleWriter {
             if torque != wanted {
                 report.limited.insert(i);
             }
-            self.means[i] += self.share * (f32::from(torque) - self.means[i]);
-            self.shared.mean_torques[i].store(self.means[i].round() as i16, Ordering::Release);
+            if self.share > 0.0 {
+                self.means[i] += self.share * (f32::from(torque) - self.means[i]);
+                self.shared.mean_torques[i].store(self.means[i].round() as i16, Ordering::Release);
+            }
             let word = self.shared.controlwords[i].load(Ordering::Acquire);
             let slot = encode_rpdo1(word, torque);
             if let Some(Some(packed)) = self.packed.get_mut(d.bus) {

@@ -3,10 +3,10 @@
 use crate::{Args, World, each_seed};
 use nalgebra::{Vector3, Vector4};
 use sim_plant::bench::Bench;
-use sinew::collision::{Body, BodyGeometry, Shape};
+use sim_plant::follow::target;
+use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{BodyModel, ScenarioConfig, Task};
-use sinew::control::obstacles::Placement;
-use sinew::control::{CURVATURES_MAX, Mode, Request, Settings, Target, TargetInput};
+use sinew::control::{Mode, Request, Settings};
 use std::io::Write;
 use std::path::Path;
 
@@ -29,10 +29,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
         true => Bench::at_start_of(&scenario, &config, &truth).expect("a start"),
         false => Bench::new(&config, &Settings::new(&config), &truth),
     };
-    for obstacle in &scenario.obstacles {
-        let shape = Shape::new(&obstacle.shape).unwrap();
-        bench.obstacles.insert(bench.obstacles.now().len() as u64, &shape).unwrap();
-    }
+    bench.insert(&scenario.obstacles).expect("obstacles");
     if let Err(why) = bench.arm(60.0) {
         return format!("not armed: {why}");
     }
@@ -55,41 +52,9 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
     let mut before = bench.truth.tip().position;
     while bench.time_s() < begin + duration {
         let now = bench.time_s() + h - begin;
-        let place = |bench: &mut Bench, at: f64| {
-            for (k, obstacle) in scenario.obstacles.iter().enumerate() {
-                let (a, b) =
-                    (obstacle.motion.position_at(at.max(0.0)), obstacle.motion.position_at((at + lookahead).max(0.0)));
-                let placement = Placement {
-                    position_now_m: a,
-                    position_ahead_m: b,
-                    quaternion: obstacle.quaternion,
-                    growth_m: 0.0,
-                };
-                bench.obstacles.place(k, &placement).unwrap();
-            }
-        };
-        place(&mut bench, now);
+        bench.place(&scenario.obstacles, now, lookahead).expect("obstacles that were inserted");
         let ahead_s = now + bench.cycle.lead_s();
-        bench.target = Some(match &scenario.task {
-            Task::Tip { path, .. } => {
-                let at = |t: f64| {
-                    let (p, q) = path.pose_at(t.max(0.0));
-                    Target::Tip {
-                        position_m: p.into(),
-                        quaternion: Vector4::from(q),
-                        velocity_mps: Vector3::zeros(),
-                        angular_velocity_radps: Vector3::zeros(),
-                    }
-                };
-                TargetInput { now: at(now), ahead: Some(at(ahead_s)), weight: 0.0, sequence: 1, fresh: true }
-            }
-            Task::Shape { curvatures_1pm, .. } => {
-                let mut k = [0.0; CURVATURES_MAX];
-                k[..curvatures_1pm.len()].copy_from_slice(curvatures_1pm);
-                let now = Target::Shape { curvatures_1pm: k, rates_1pms: [0.0; CURVATURES_MAX] };
-                TargetInput { now, ahead: None, weight: 0.0, sequence: 1, fresh: true }
-            }
-        });
+        bench.target = Some(target(&scenario.task, now, ahead_s));
         // A shape starts with its run: its path is the approach.
         if !tip && now < 0.0 {
             bench.target = None;

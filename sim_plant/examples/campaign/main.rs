@@ -90,13 +90,14 @@ enum What {
         scenario: String,
         /// `stop`, `sigterm`, `kill` (the daemon is dead), `bus` (one of four, or all), `fault` (a drive trips, an encoder is
         /// silent or jumps, ticks are late).
-        #[arg(long, value_delimiter = ',', default_value = "stop,sigterm,kill,bus,fault")]
+        #[arg(long, value_delimiter = ',', default_value = "stop,sigterm,kill,bus,fault",
+            value_parser = ["stop", "sigterm", "kill", "bus", "fault"])]
         kinds: Vec<String>,
         /// Gravity (m/s^2) along -z, known to the controller, in place of the arm's.
         #[arg(long)]
         gravity: Option<f64>,
         /// `safe_hold` of all drives, in place of the configuration's.
-        #[arg(long)]
+        #[arg(long, value_parser = ["hold", "rest", "ramp", "brake"])]
         hold: Option<String>,
         /// Latest instant (s), in place of the scenario's length.
         #[arg(long)]

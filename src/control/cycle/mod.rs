@@ -644,11 +644,10 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         if !self.ramp.is_begun() {
             self.stay.begin(&self.safe);
         }
-        if self.stay.take_over(inputs.drives.fault, self.settings.arm.tension_n_min, &self.maxima_n) {
-            self.ramp.end();
-        }
+        self.stay.take_over(inputs.drives.fault, self.settings.arm.tension_n_min, &self.maxima_n);
         self.ramp.begin(&self.commanded, begin_ns);
         self.ramp.tensions_into(self.stay.tensions_n(), inputs.now_ns, &mut self.proposed);
+        self.stay.hurry(&mut self.proposed);
     }
 
     /// Judges `proposed` with what friction takes added, and moves it to `commanded` and `sent`.

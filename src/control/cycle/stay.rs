@@ -56,13 +56,12 @@ impl Stay {
         self.lost.fill(false);
     }
 
-    /// Tells the others what a drive in fault leaves to them, within their range from `low_n` to `maxima_n` (N). Returns whether
-    /// anything changed.
-    pub(super) fn take_over(&mut self, fault: Option<(u16, u32)>, low_n: f64, maxima_n: &[f64]) -> bool {
-        let Some((cable, cause)) = fault.map(|(cable, cause)| (usize::from(cable), cause)) else { return false };
+    /// Tells the others what a drive in fault leaves to them, within their range from `low_n` to `maxima_n` (N).
+    pub(super) fn take_over(&mut self, fault: Option<(u16, u32)>, low_n: f64, maxima_n: &[f64]) {
+        let Some((cable, cause)) = fault.map(|(cable, cause)| (usize::from(cable), cause)) else { return };
         let stays = self.holds.get(cable).is_some_and(|hold| hold.stays());
         if !stays || !Fault::ends_torque(cause) || self.lost[cable] {
-            return false;
+            return;
         }
         self.lost[cable] = true;
         let lost_n = std::mem::replace(&mut self.tensions_n[cable], low_n);
@@ -94,7 +93,20 @@ impl Stay {
                 break;
             }
         }
-        true
+    }
+
+    /// Takes cables that do what a lost one did there without a ramp, for its moments are missing at once: as fast as tensions may
+    /// change.
+    pub(super) fn hurry(&self, proposed_n: &mut [f64]) {
+        if self.has_taken_over() {
+            for ((proposed, stay), hold) in proposed_n.iter_mut().zip(&self.tensions_n).zip(&self.holds) {
+                *proposed = if hold.stays() { *stay } else { *proposed };
+            }
+        }
+    }
+
+    fn has_taken_over(&self) -> bool {
+        self.lost.contains(&true)
     }
 
     /// Where the cables stay (N).
@@ -136,8 +148,10 @@ mod tests {
             let u: Vec<f64> = (0..24).map(|c| low + 3.0 * f64::from(c % 7)).collect();
             for lost in [0, 7, 23] {
                 let mut stay = held(&arm, &u);
-                assert!(stay.take_over(Some((lost, TRIPPED)), 1.0, &maxima));
-                assert!(!stay.take_over(Some((lost, TRIPPED)), 1.0, &maxima), "once");
+                stay.take_over(Some((lost, TRIPPED)), 1.0, &maxima);
+                let once = stay.tensions_n().to_vec();
+                stay.take_over(Some((lost, TRIPPED)), 1.0, &maxima);
+                assert!(stay.has_taken_over() && stay.tensions_n() == once, "once");
                 let told = stay.tensions_n();
                 assert!(told.iter().all(|u| (1.0..=220.0).contains(u)), "{told:?}");
                 let lost = usize::from(lost);
@@ -155,22 +169,24 @@ mod tests {
         let mut stay = held(&arm, &u);
         // Heartbeat lost, protocol error, and what the master alone noticed.
         for cause in [0x8130, 0x8210, 7] {
-            assert!(!stay.take_over(Some((3, cause)), 1.0, &[220.0; 24]), "{cause:#x}");
+            stay.take_over(Some((3, cause)), 1.0, &[220.0; 24]);
+            assert!(!stay.has_taken_over(), "{cause:#x}");
         }
-        assert!(!stay.take_over(None, 1.0, &[220.0; 24]));
+        stay.take_over(None, 1.0, &[220.0; 24]);
         assert_eq!(stay.tensions_n(), u);
     }
 
     #[test]
     fn what_the_others_cannot_give_is_not_asked_of_them() {
-        // Of three cables in each segment, two push nothing.
+        // Two cables of a segment pull to every side but one.
         let mut config = ArmConfig::paper();
         for segment in &mut config.segments {
             segment.hole_angles_rad = (0..3).map(|c| f64::from(c) * std::f64::consts::TAU / 3.0).collect();
         }
         let arm = Arm::new(&config);
         let mut stay = held(&arm, &[30.0; 12]);
-        assert!(stay.take_over(Some((0, TRIPPED)), 1.0, &[220.0; 12]));
+        stay.take_over(Some((0, TRIPPED)), 1.0, &[220.0; 12]);
+        assert!(stay.has_taken_over());
         assert!(stay.tensions_n().iter().all(|u| u.is_finite() && (1.0..=220.0).contains(u)), "{stay:?}");
     }
 }

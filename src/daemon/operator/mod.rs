@@ -338,7 +338,8 @@ impl Address {
         self.say_to_one(&word.line(), timeout)
     }
 
-    /// Gives the daemon one target, which is kept until another comes. A capture time of 0 stands for now.
+    /// Gives the daemon one target, which is kept until another comes. With a capture time of 0 it is as old as the moment at
+    /// which the daemon takes it.
     ///
     /// # Errors
     /// [`OperatorError`].

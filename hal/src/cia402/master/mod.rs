@@ -89,7 +89,8 @@ impl Master {
         let handles = handles.map_err(|e| SetupError::Duplicate(e.raw_os_error().unwrap_or(0)))?;
         let layouts = (0..buses.len()).map(|bus| config.layout(bus)).collect();
         let cycle_us = config.cycle_us as f32;
-        let share = cycle_us / (config.mean_time_us as f32 + cycle_us);
+        let follows = config.drives.iter().any(|drive| drive.safe_torque_follows);
+        let share = if follows { cycle_us / (config.mean_time_us as f32 + cycle_us) } else { 0.0 };
         let writer = CycleWriter::new(handles, addresses.clone(), layouts, share, shared.clone());
         Ok(Self {
             outbox: buses.iter().map(|_| VecDeque::with_capacity(OUTBOX_MAX)).collect(),
