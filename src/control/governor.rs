@@ -7,12 +7,13 @@
 //! in which no point of the arm exceeds the limits. A straight line in space may leave the reachable set; one in
 //! curvatures does not.
 
+use super::follower::{Follower, Limits, Moved};
 use super::pace::Pace;
 use super::path::{Path, Way};
 use super::reach::Reach;
+use super::tip_offset::TipOffset;
 use crate::config::{ArmConfig, GovernorConfig, ObserverConfig, OutOfReach, PlannerConfig, Scale};
 use crate::estimator::PositionCovariance;
-use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use crate::model::Arm;
 use crate::posture::{
     InverseSettings, Met, POSE, Reference, ReferenceSettings, RestingArm, Search, Surroundings, Wanted, pose_error,
@@ -56,6 +57,8 @@ const QUIET: f64 = 0.04;
 /// Largest standard deviation of a position that obstacles are given way for, over the arm's length: an arm that swings because it
 /// dodges must not dodge the more for it.
 const SIGMA_MAX: f64 = 0.0025;
+/// Acceleration of a tip that follows a target, over that of a path.
+const FOLLOWING: f64 = 4.0;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
@@ -77,15 +80,16 @@ pub struct Governor {
     length: Vec<f64>,
     tensions: Vec<f64>,
     kind: Kind,
-    /// Target that the search is at or on its way to.
-    position: Vector3<f64>,
-    quaternion: Vector4<f64>,
+    /// The tip's target, with the limits on its motion.
+    follower: Follower,
     /// At rest after a tip target: the tip is held, and whether it is already known where.
     holds_tip: Option<bool>,
     /// How near the arm gets to the tip target; `None` while that is looked for.
     reach: Option<Reach>,
     /// Time for which a tip target that is followed has been missed with nothing in the way (s).
     missed_s: f64,
+    /// Between target and where the tip is led.
+    offset: TipOffset,
     goal: Vec<f64>,
     /// `e`.
     path: Path,
@@ -109,8 +113,7 @@ pub struct Governor {
     answer: Vec<f64>,
     /// Pace at which targets are approached: 1 unless something asks to slow down.
     pace: Pace,
-    /// Target of the tick before, with the limits on its motion, and as it was given.
-    last: (Vector3<f64>, Vector4<f64>),
+    /// Target of the tick before, as it was given.
     wished: (Vector3<f64>, Vector4<f64>),
     met: Met,
     /// Time for which the way has been blocked (s).
@@ -157,11 +160,11 @@ impl Governor {
             length,
             tensions: vec![tension_n; arm.cable_count()],
             kind: Kind::Rest,
-            position: Vector3::zeros(),
-            quaternion: Vector4::new(1.0, 0.0, 0.0, 0.0),
+            follower: Follower::default(),
             holds_tip: None,
             reach: None,
             missed_s: 0.0,
+            offset: TipOffset::new(scale.time_s(MEAN), OFFSET_MAX * config.length_m()),
             goal: vec![0.0; count],
             path: Path::new(count),
             desired: vec![0.0; count],
@@ -180,7 +183,6 @@ impl Governor {
             mean: vec![0.0; count],
             answer: vec![0.0; count],
             pace: Pace::new(settings),
-            last: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
             wished: (Vector3::zeros(), Vector4::new(1.0, 0.0, 0.0, 0.0)),
             met: Met::default(),
             blocked_s: 0.0,
@@ -202,6 +204,11 @@ impl Governor {
     /// The swing that there may be, of the tip (m, peak to peak).
     pub fn set_swing(&mut self, swing_m: f64) {
         self.possible_swing_m = swing_m;
+    }
+
+    /// The estimated tip beside the reference's of as long ago as that is ahead of the arm (m, base frame).
+    pub fn see_tip(&mut self, beside_m: Vector3<f64>) {
+        self.offset.see(beside_m);
     }
 
     /// What the position of each element may be off by (m): [`ObserverConfig::margin_sigmas`] standard deviations.
@@ -265,7 +272,7 @@ impl Governor {
 
     /// What the tip is wanted at, with the limits on its motion.
     pub fn tip(&self) -> (Vector3<f64>, Vector4<f64>) {
-        (self.position, self.quaternion)
+        *self.follower.pose()
     }
 
     /// Time until the path of the last step ends (s), if nothing is in its way.
@@ -317,6 +324,7 @@ impl Governor {
         self.answer.fill(0.0);
         self.command.copy_from_slice(curvatures);
         self.path.end();
+        self.offset.restart();
     }
 
     /// One tick of `h` seconds towards what is wanted; `curvatures` (1/m) are those of the arm. Does not allocate.
@@ -378,51 +386,55 @@ impl Governor {
         }
     }
 
-    /// Speed of a tip target that is followed (m/s), and rate of its turning (rad/s), at the present pace.
-    fn limits(&self) -> (f64, f64) {
-        (self.pace.now() * self.settings.speed_mps, self.pace.now() * self.settings.turn_rate_radps)
+    /// Limits of a tip that follows, at the present pace.
+    fn limits(&self) -> Limits {
+        let GovernorConfig { speed_mps, acceleration_mps2, turn_rate_radps, .. } = self.settings;
+        // In the time in which the speed is taken on, the turn rate is.
+        let acceleration = FOLLOWING * acceleration_mps2;
+        Limits {
+            position: [self.pace.now() * speed_mps, acceleration],
+            attitude: [self.pace.now() * turn_rate_radps, acceleration * turn_rate_radps / speed_mps],
+        }
     }
 
     fn follow_tip(&mut self, h: f64, position: &Vector3<f64>, quaternion: &Vector4<f64>) {
-        let gap = position - self.position;
-        let turn = rotation_between(&self.quaternion, quaternion);
+        let wished = (*position, *quaternion);
+        let moved = Moved::between(&self.wished, &wished);
+        self.wished = wished;
+        let following = self.kind == Kind::Tip && !self.search.is_under_way();
+        if following && !self.path.is_under_way() && moved.way != Vector3::zeros() {
+            self.offset.follow(h);
+        }
+        let led = (self.offset.lead(position), *quaternion);
         // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
         // rest of the way is a path.
-        let (moved, turned) = ((position - self.wished.0).norm(), rotation_between(&self.wished.1, quaternion).norm());
-        let (speed, rate) = self.limits();
-        let is_step = |gap: f64, turn: f64| gap > self.step_m || turn > STEP_RAD;
-        let runs = moved > speed * h || turned > rate * h;
-        let new = self.kind != Kind::Tip || is_step(moved, turned) || (!runs && is_step(gap.norm(), turn.norm()));
-        self.wished = (*position, *quaternion);
-        if new {
+        let limits = self.limits();
+        let is_step = |(gap, turn): (f64, f64)| gap > self.step_m || turn > STEP_RAD;
+        let runs = moved.way.norm() > limits.position[0] * h || moved.turn.norm() > limits.attitude[0] * h;
+        let jumps = is_step((moved.way.norm(), moved.turn.norm()));
+        if self.kind != Kind::Tip || jumps || (!runs && is_step(self.follower.lacks(&led, &moved, h, &limits))) {
             self.kind = Kind::Tip;
-            self.position = *position;
-            self.quaternion = *quaternion;
+            self.offset.restart();
+            self.follower.place(wished);
             self.reach = None;
             self.missed_s = 0.0;
             self.search.begin(self.reference.rest());
-            self.last = (*position, *quaternion);
         } else {
-            self.last = (self.position, self.quaternion);
-            // A target that runs faster than the limit is followed at the limit.
-            let share = |size: f64, most: f64| if size > most { most / size } else { 1.0 };
-            let s = share(gap.norm(), speed * h);
-            self.position += s * gap;
-            let s = share(turn.norm(), rate * h);
-            self.quaternion = product(&self.quaternion, &from_rotation_vector(&(s * turn))).normalize();
+            self.follower.follow(h, &led, &moved, &limits);
         }
+        let (position, quaternion) = self.follower.pose();
         if self.search.is_under_way() {
             self.solve();
         } else if self.path.is_under_way()
-            && self.last.0 != self.position
-            && self.search.inverse_mut().iterate(&self.tensions, &self.position, &self.quaternion).is_ok()
+            && self.follower.before().0 != *position
+            && self.search.inverse_mut().iterate(&self.tensions, position, quaternion).is_ok()
         {
             self.goal.copy_from_slice(self.search.inverse_mut().rest().curvatures());
         }
     }
 
     fn solve(&mut self) {
-        let (target, reach_m) = ((self.position, self.quaternion), self.settings.reach_m);
+        let (target, reach_m) = (*self.follower.pose(), self.settings.reach_m);
         let attitude_length_m = self.settings.attitude_length_m;
         let of = |rest: &RestingArm, load: f64| Reach::of(rest, load, &target, reach_m, attitude_length_m);
         let error = |rest: &RestingArm, load: f64| of(rest, load).error_m(reach_m, attitude_length_m);
@@ -445,8 +457,7 @@ impl Governor {
     }
 
     fn reach_of(&self, rest: &RestingArm, load: f64) -> Reach {
-        let target = (self.position, self.quaternion);
-        Reach::of(rest, load, &target, self.settings.reach_m, self.settings.attitude_length_m)
+        Reach::of(rest, load, self.follower.pose(), self.settings.reach_m, self.settings.attitude_length_m)
     }
 
     /// How near the arm gets to the tip target; `None` without one, or while that is looked for. Of a target that was refused
@@ -546,11 +557,8 @@ impl Governor {
         self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma.min(most_m));
         self.reference.set_doubt(&self.doubt);
         if self.kind == Kind::Rest && !on_path && self.holds_tip == Some(false) {
-            (self.position, self.quaternion) = self.reference.rest().tip();
+            self.follower.place(self.reference.rest().tip());
             self.holds_tip = Some(true);
-        }
-        if self.kind == Kind::Rest {
-            self.last = (self.position, self.quaternion);
         }
         let steers_tip = match self.kind {
             Kind::Tip => !self.search.is_under_way() && !self.is_refused(),
@@ -565,14 +573,15 @@ impl Governor {
             self.drift.fill(0.0);
             drift_weight = self.search.effort();
             let at = self.reference.rest().tip();
-            let lacks = pose_error(&at, &self.last.0, &self.last.1);
-            let moved = pose_error(&(self.position, self.quaternion), &self.last.0, &self.last.1);
+            let (before, now) = (self.follower.before(), self.follower.pose());
+            let lacks = pose_error(&at, &before.0, &before.1);
+            let moved = pose_error(now, &before.0, &before.1);
             let share = (h / self.approach_s).min(1.0);
             let gap = Vector3::new(lacks[0], lacks[1], lacks[2]).norm();
             let turn = Vector3::new(lacks[3], lacks[4], lacks[5]).norm();
             let least = |size: f64, most: f64| if share * size > most { most / size } else { share };
-            let (speed, rate) = self.limits();
-            let (sr, st) = (least(gap, speed * h), least(turn, rate * h));
+            let limits = self.limits();
+            let (sr, st) = (least(gap, limits.position[0] * h), least(turn, limits.attitude[0] * h));
             let mut change = [0.0; POSE];
             for r in 0..POSE {
                 change[r] = moved[r] - if r < 3 { sr } else { st } * lacks[r];
@@ -619,6 +628,8 @@ const MISSED_S: f64 = 1.0;
 /// Over the inverse of the first angular frequency: time constants of the mean that a swing goes about, with which the answer
 /// to a swing fades, and with which the reference makes up for what it lacks.
 const MEAN: f64 = 2.35;
+/// Farthest that a tip is led beside its target, over the arm's length.
+const OFFSET_MAX: f64 = 0.004;
 const FADE: f64 = 1.57;
 const APPROACH: f64 = 0.78;
 /// Time after which a path that is blocked is given up for the target itself (s).
@@ -628,12 +639,3 @@ const ARRIVED_RAD: f64 = 0.01;
 const ARRIVING_RAD: f64 = 0.001;
 /// Time after a path without its goal from which it is not waited for (s).
 const STUCK_S: f64 = 5.0;
-
-/// Rotation vector (rad, frame of `a`) that takes attitude `a` to `b` the short way.
-fn rotation_between(a: &Vector4<f64>, b: &Vector4<f64>) -> Vector3<f64> {
-    let d = product(&conjugate(a), b);
-    let sign = if d[0] < 0.0 { -1.0 } else { 1.0 };
-    let v = Vector3::new(d[1], d[2], d[3]) * sign;
-    let sine = v.norm();
-    v * if sine > 1e-9 { 2.0 * sine.atan2(d[0].abs()) / sine } else { 2.0 }
-}

@@ -23,6 +23,7 @@ pub mod event;
 pub mod fault;
 mod fault_parts;
 mod fault_words;
+mod follower;
 pub mod friction;
 pub mod governor;
 pub mod guard;
@@ -38,6 +39,7 @@ mod steering;
 pub mod supervision;
 pub mod supervisor;
 pub mod target;
+mod tip_offset;
 
 pub use budget::{Budget, Phase, StopWatch};
 pub use causes::{doubts, likely_cause};

@@ -94,12 +94,15 @@ const PACE: f64 = 0.1;
 const SWING_DAMPED: f64 = 1e-3;
 /// What the mean squared displacement of the arm's mass costs, over that of the tip.
 const MOTION_SHARE: f64 = 2.5e-4;
-/// What its change from one step to the next costs: accelerations make the arm swing.
-const CHANGE_SHARE: f64 = 0.04;
+/// What its change from one step to the next costs, times the approach and the step's time: accelerations make the arm swing.
+const CHANGE_SHARE: f64 = 4e-4;
 /// What a tip's error is counted in, over the arm's length: 1 m on the paper's.
 const UNIT: f64 = 1.0 / 2.75;
 /// Most pairs that a step looks at.
 const PAIRS_MAX: usize = 128;
+/// Share of the distance that a slow obstacle may take by its own motion, over that of the approach: what begins early begins
+/// softly.
+const GIVING_WAY: f64 = 0.5;
 /// Growth of an obstacle by more than this share of the reach per second is a jump, of which the barrier takes its share.
 const GROWTH_MAX_1PS: f64 = 1.65;
 /// Share of the distance above the clearance that a ball which is dodged may use up, over that of the approach ...
@@ -265,11 +268,12 @@ impl Reference {
         if wanted.tip.is_some() {
             // Of all ways to move the tip the one that moves least mass, and changes its motion least.
             let motion = MOTION_SHARE * (self.pace_mps / self.settings.quiet_mps).max(1.0).powi(4);
+            let change = CHANGE_SHARE / (self.settings.approach_1ps * h);
             for i in 0..count {
                 for j in 0..count {
                     let m = self.inertia[i * count + j] / self.mass;
-                    self.a[i * count + j] += (motion + CHANGE_SHARE) * m;
-                    self.b[i] -= CHANGE_SHARE * m * self.delta[j];
+                    self.a[i * count + j] += (motion + change) * m;
+                    self.b[i] -= change * m * self.delta[j];
                 }
             }
         }
@@ -481,7 +485,7 @@ impl Reference {
             let own = (approach_1ps * margin).max(-withdrawal_mps);
             let theirs = match ball {
                 Some(_) => CLOSING * approach_1ps * (margin - REACTION / approach_1ps * closing).max(0.0),
-                None => approach_1ps * margin.max(0.0),
+                None => GIVING_WAY * approach_1ps * margin.max(0.0),
             } - closing;
             self.d[kept] = moved + h * own.min(theirs);
             // In the step's box the least; in bends of HOPELESS_RAD the most.

@@ -188,6 +188,7 @@ impl Args {
                 "rate" => config.weights.tip.rate = value,
                 "pose" => config.weights.tip.pose = value,
                 "eta" => config.planner.lookahead_s = value,
+                "lead" => config.planner.lead_s = Some(value),
                 "its" => config.planner.newton_iterations_max = value as usize,
                 "evasion" => config.governor.evasion_mps = value,
                 "evasion2" => config.governor.evasion_mps2 = value,

@@ -116,6 +116,11 @@ impl Supervision {
         }
     }
 
+    /// The estimated tip beside the reference's of as long ago as that is ahead of the arm (m, base frame).
+    pub const fn tip_beside_m(&self) -> Vector3<f64> {
+        self.swing.beside()
+    }
+
     /// Swing of the tip that there may be, peak to peak (m).
     pub const fn swing_m(&self) -> f64 {
         self.swing_m

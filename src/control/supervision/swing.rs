@@ -25,6 +25,8 @@ pub struct Swing {
     /// The reference's tip of the last ticks (m), the oldest overwritten first.
     references: Vec<Vector3<f64>>,
     next: usize,
+    /// The tip beside the reference that it is to be at (m).
+    beside: Vector3<f64>,
     /// Two low-pass filters in a row.
     slow: [Vector3<f64>; 2],
     amplitude_m: f64,
@@ -39,6 +41,7 @@ impl Swing {
             started: false,
             references: vec![Vector3::zeros(); ahead_ticks + 1],
             next: 0,
+            beside: Vector3::zeros(),
             slow: [Vector3::zeros(); 2],
             amplitude_m: 0.0,
             square_m2: 0.0,
@@ -48,6 +51,12 @@ impl Swing {
     /// Forgets what was.
     pub fn restart(&mut self) {
         (self.started, self.amplitude_m, self.square_m2) = (false, 0.0, 0.0);
+        self.beside = Vector3::zeros();
+    }
+
+    /// The tip beside the reference's of as long ago as that is ahead of the arm (m, base frame).
+    pub const fn beside(&self) -> Vector3<f64> {
+        self.beside
     }
 
     /// One tick of `h` seconds with the tip and the reference's (m); returns the swing as it is shown and as it may be, peak to
@@ -60,9 +69,9 @@ impl Swing {
         }
         self.references[self.next] = *reference;
         self.next = (self.next + 1) % self.references.len();
-        let displacement = tip - self.references[self.next];
+        self.beside = tip - self.references[self.next];
         let share = h / (SLOW_S + h);
-        let mut fast = displacement;
+        let mut fast = self.beside;
         for slow in &mut self.slow {
             *slow += share * (fast - *slow);
             fast -= *slow;

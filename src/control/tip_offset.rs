@@ -1,0 +1,75 @@
+//! Where the arm's tip is led beside its target, so that what the reference does not know cancels.
+//!
+//! A reference that moves is an equilibrium, the arm on its way is none: it lags, sags by its inertia, and bends inside
+//! its segments. The estimate shows it. What lasts of it is taken off the target, by a first-order low-pass
+//! that is slow against everything that swings; a tip that stands keeps what it had.
+
+use nalgebra::Vector3;
+
+/// The offset of one arm's tip (m, base frame).
+#[derive(Debug, Clone)]
+pub struct TipOffset {
+    time_s: f64,
+    most_m: f64,
+    beside: Vector3<f64>,
+    offset: Vector3<f64>,
+}
+
+impl TipOffset {
+    /// With the time constant of the low-pass (s), and the farthest that a target is moved (m).
+    pub fn new(time_s: f64, most_m: f64) -> Self {
+        Self { time_s, most_m, beside: Vector3::zeros(), offset: Vector3::zeros() }
+    }
+
+    /// The estimated tip beside the reference's of as long ago as the reference is ahead of the arm (m).
+    pub fn see(&mut self, beside: Vector3<f64>) {
+        self.beside = beside;
+    }
+
+    /// One tick of `h` seconds in which the tip is led along a path.
+    pub fn follow(&mut self, h: f64) {
+        self.offset += h / (self.time_s + h) * (self.beside - self.offset);
+        let size = self.offset.norm();
+        if size > self.most_m {
+            self.offset *= self.most_m / size;
+        }
+    }
+
+    /// Where to lead the tip for it to be at `target` (m).
+    pub fn lead(&self, target: &Vector3<f64>) -> Vector3<f64> {
+        target - self.offset
+    }
+
+    /// Forgets what was.
+    pub fn restart(&mut self) {
+        self.offset = Vector3::zeros();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const H: f64 = 0.01;
+
+    fn after(seconds: f64, beside: impl Fn(f64) -> f64) -> f64 {
+        let mut offset = TipOffset::new(4.0, 0.01);
+        for k in 0..(seconds / H) as usize {
+            offset.see(Vector3::new(beside(k as f64 * H), 0.0, 0.0));
+            offset.follow(H);
+        }
+        -offset.lead(&Vector3::zeros()).x
+    }
+
+    #[test]
+    fn what_lasts_is_taken_off_the_target_and_what_swings_is_not() {
+        assert!((after(30.0, |_| 0.003) - 0.003).abs() < 1e-5);
+        let swing = |t: f64| 0.01 * (std::f64::consts::TAU * 0.26 * t).sin();
+        assert!(after(30.0, swing).abs() < 0.0017);
+    }
+
+    #[test]
+    fn an_arm_that_is_kept_from_its_reference_is_not_pulled_farther_than_that() {
+        assert!((after(60.0, |_| 0.2) - 0.01).abs() < 1e-9);
+    }
+}
