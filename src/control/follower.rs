@@ -8,7 +8,7 @@ use crate::math::quaternion::{conjugate, from_rotation_vector, product};
 use nalgebra::{Vector3, Vector4};
 
 /// Ticks within which a small gap is made up for.
-const SOFT_TICKS: f64 = 8.0;
+const SOFT_TICKS: f64 = 2.0;
 /// Share of the acceleration that braking counts on: the rest is for what a tick comes late.
 const BRAKE: f64 = 0.8;
 

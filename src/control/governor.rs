@@ -58,7 +58,7 @@ const QUIET: f64 = 0.04;
 /// dodges must not dodge the more for it.
 const SIGMA_MAX: f64 = 0.0025;
 /// Acceleration of a tip that follows a target, over that of a path.
-const FOLLOWING: f64 = 4.0;
+const FOLLOWING: f64 = 10.0;
 /// How far from obstacles the reference begins to look at them, over the arm's length.
 const REACH: f64 = 0.11;
 /// Iterations of inverse statics for a new target, a tick.
@@ -164,7 +164,7 @@ impl Governor {
             holds_tip: None,
             reach: None,
             missed_s: 0.0,
-            offset: TipOffset::new(scale.time_s(MEAN), scale.time_s(FADE), OFFSET_MAX * config.length_m()),
+            offset: TipOffset::new(scale.time_s(MEAN), OFFSET_MAX * config.length_m()),
             goal: vec![0.0; count],
             path: Path::new(count),
             desired: vec![0.0; count],
@@ -402,7 +402,9 @@ impl Governor {
         let moved = Moved::between(&self.wished, &wished);
         self.wished = wished;
         let following = self.kind == Kind::Tip && !self.search.is_under_way();
-        self.offset.follow(h, following && !self.path.is_under_way() && moved.way != Vector3::zeros());
+        if following && !self.path.is_under_way() {
+            self.offset.follow(h, &moved.way);
+        }
         let led = (self.offset.lead(position), *quaternion);
         // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
         // rest of the way is a path.

@@ -95,14 +95,16 @@ const SWING_DAMPED: f64 = 1e-3;
 /// What the mean squared displacement of the arm's mass costs, over that of the tip.
 const MOTION_SHARE: f64 = 2.5e-4;
 /// What its change from one step to the next costs, times the approach and the step's time: accelerations make the arm swing.
-const CHANGE_SHARE: f64 = 4e-4;
+const CHANGE_SHARE: f64 = 2e-4;
+/// The same with obstacles around: what gives way to them does so smoothly, and what does not is not in a hurry.
+const CHANGE_SHARE_AROUND: f64 = 4e-4;
 /// What a tip's error is counted in, over the arm's length: 1 m on the paper's.
 const UNIT: f64 = 1.0 / 2.75;
 /// Most pairs that a step looks at.
 const PAIRS_MAX: usize = 128;
 /// Share of the distance that a slow obstacle may take by its own motion, over that of the approach: what begins early begins
 /// softly.
-const GIVING_WAY: f64 = 0.5;
+const GIVING_WAY: f64 = 0.6;
 /// Growth of an obstacle by more than this share of the reach per second is a jump, of which the barrier takes its share.
 const GROWTH_MAX_1PS: f64 = 1.65;
 /// Share of the distance above the clearance that a ball which is dodged may use up, over that of the approach ...
@@ -255,8 +257,11 @@ impl Reference {
             self.b[i] = -w * wanted.drift[i];
         }
         let threat_mps = around.map_or(0.0, |around| self.threat(h, around));
-        if around.is_some_and(|around| !around.ahead.is_empty()) {
+        let (mut pairs, mut share) = (0, CHANGE_SHARE);
+        if let Some(around) = around.filter(|around| !around.ahead.is_empty()) {
+            share = CHANGE_SHARE_AROUND;
             self.bound_motion(h);
+            pairs = self.pair_rows(h, around, &mut met);
         } else {
             for (i, length) in self.length.iter().enumerate() {
                 (self.low[i], self.high[i]) = (
@@ -268,7 +273,7 @@ impl Reference {
         if wanted.tip.is_some() {
             // Of all ways to move the tip the one that moves least mass, and changes its motion least.
             let motion = MOTION_SHARE * (self.pace_mps / self.settings.quiet_mps).max(1.0).powi(4);
-            let change = CHANGE_SHARE / (self.settings.approach_1ps * h);
+            let change = share / (self.settings.approach_1ps * h);
             for i in 0..count {
                 for j in 0..count {
                     let m = self.inertia[i * count + j] / self.mass;
@@ -294,14 +299,7 @@ impl Reference {
             let share = self.unit_m.powi(-2);
             self.a.iter_mut().chain(&mut self.b).for_each(|x| *x *= share);
         }
-        let mut rows = 0;
-        if let Some(around) = around
-            && !around.ahead.is_empty()
-        {
-            rows = self.pair_rows(h, around, &mut met);
-        }
-        let pairs = rows;
-        rows = self.tension_rows(h, rows, &mut met);
+        let rows = self.tension_rows(h, pairs, &mut met);
         self.delta.copy_from_slice(wanted.drift);
         for i in 0..count {
             self.delta[i] = self.delta[i].clamp(self.low[i], self.high[i]);
