@@ -90,7 +90,7 @@ impl Alone {
             told_n: vec![0.0; cables],
             mean_n: vec![0.0; cables],
             share: period_s / (STAY_LOOKAHEADS * config.planner.lookahead_s + period_s),
-            turn: (2.0 * drives.read_back_s / period_s).ceil().max(1.0) as u64,
+            turn: (drives.read_back_s / period_s).ceil().max(1.0) as u64,
         }
     }
 

@@ -242,7 +242,7 @@ pub static DRIVES: TableSpec = TableSpec {
             Kind::Float(Range::closed(0.0, 10.0)),
             "s",
             "0.02",
-            "Time between two objects that are read back from the drives in operation, one after the other: every second one is a drive's torque limit (6072), the others are what was written at the start. One that was changed stops the arm. 0 for none.",
+            "Time between two objects that are read back from the drives in operation, one after the other: every second one is a drive's torque limit (6072), the others are what was written at the start. One that was changed stops the arm. 0 for none. The tensions of `safe_hold = \"rest\"` are told as often.",
         ),
         Key::optional(
             "emergency_stop_bit",

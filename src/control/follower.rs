@@ -10,7 +10,7 @@ use nalgebra::{Vector3, Vector4};
 /// Ticks within which a small gap is made up for.
 const SOFT_TICKS: f64 = 2.0;
 /// Share of the acceleration that braking counts on: the rest is for what a tick comes late.
-const BRAKE: f64 = 0.8;
+const BRAKE: f64 = 0.5;
 
 /// Limits of a motion: `[rate, acceleration]`.
 #[derive(Debug, Clone, Copy)]

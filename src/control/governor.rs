@@ -147,6 +147,8 @@ impl Governor {
             quiet_mps: QUIET * config.length_m(),
             tension_range_n: tension_range_n.clone(),
         };
+        // A lead of the user's own says how far behind its target the tip is to come.
+        let along_after_s = planner.lead_s.is_none().then(|| scale.time_s(FADE));
         let count = 2 * arm.segment_count();
         let length = segment_lengths(arm);
         Self {
@@ -164,7 +166,7 @@ impl Governor {
             holds_tip: None,
             reach: None,
             missed_s: 0.0,
-            offset: TipOffset::new(scale.time_s(MEAN), OFFSET_MAX * config.length_m()),
+            offset: TipOffset::new(scale.time_s(MEAN), along_after_s, OFFSET_MAX * config.length_m()),
             goal: vec![0.0; count],
             path: Path::new(count),
             desired: vec![0.0; count],

@@ -1,5 +1,6 @@
 //! Reading back what a drive was told, while it operates: one object at a time over all drives, every second one a limit of
-//! torque. In turns with it the safe torques are written that follow the torques sent, where drives have such.
+//! torque. In turns with it, and as often, the safe torques are written that follow the torques sent, where drives have such:
+//! what drives are told of one motion at instants far apart makes an arm swing that is left alone.
 //!
 //! Enters: the scripts of all drives, responses, the time, safe torques. Leaves: requests, and what was changed. A drive that
 //! does not answer is no finding: its heartbeat and its feedback tell more, and sooner. It must never have more than one
@@ -26,6 +27,7 @@ struct Object {
 pub(super) struct ReadBack {
     /// By drive: its limit of torque, then the others.
     objects: Vec<Vec<Object>>,
+    /// Between two requests (ns).
     period_ns: u64,
     timeout_ns: u64,
     due_ns: u64,
@@ -58,16 +60,20 @@ pub(super) enum Task {
 impl ReadBack {
     /// `None` where nothing is to be read back or kept up to date.
     pub(super) fn new(config: &MasterConfig) -> Option<Self> {
-        let period_ns = u64::from(config.read_back_us) * 1000;
+        let read_ns = u64::from(config.read_back_us) * 1000;
         let timeout_ns = u64::from(config.sdo_timeout_ms) * 1_000_000;
         let drives = config.drives.iter().enumerate();
         let follow: Vec<usize> = drives.filter(|(_, drive)| drive.safe_torque_follows).map(|(i, _)| i).collect();
-        let reads = period_ns > 0;
+        let reads = read_ns > 0;
         (reads || !follow.is_empty()).then(|| Self {
             objects: (0..config.drives.len())
                 .map(|drive| objects(&script(config, drive), follow.contains(&drive)))
                 .collect(),
-            period_ns: if reads { period_ns } else { FOLLOW_NS },
+            period_ns: match (reads, follow.is_empty()) {
+                (true, true) => read_ns,
+                (true, false) => read_ns / 2,
+                (false, _) => FOLLOW_NS,
+            },
             reads,
             follow,
             next: 0,
@@ -218,7 +224,7 @@ mod tests {
         assert!(!compared);
         let mut written = Vec::new();
         for k in 0..8u64 {
-            let now_ns = k * 20_000_000;
+            let now_ns = k * 10_000_000;
             let task = read_back.poll(now_ns, |_| true, |_, _, _| false, |drive| 100 * drive as i16 + k as i16);
             let Task::Send(drive, payload) = task else { panic!("{task:?}") };
             // A download names index and sub, and is answered by them alone.
