@@ -14,6 +14,7 @@ mod run;
 mod scenario_client;
 mod stability;
 mod status;
+mod view;
 
 use clap::{Parser, Subcommand};
 use miette::{IntoDiagnostic, WrapErr};
@@ -60,6 +61,8 @@ enum Command {
     Run(run::Run),
     /// Show a running daemon: mode, faults, times, buses, sources, rights.
     Status(status::Status),
+    /// Show a running arm in a browser: in 3D, with plots of the last minute, alarms and sources. It reads only.
+    View(view::View),
     /// Bring the drives up and hold the pose.
     Arm(requests::Ask),
     /// Take the torque off the drives at once, in order.
@@ -137,6 +140,7 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::Leash(leash) => leash.run(),
         Command::Run(run) => run.run(),
         Command::Status(status) => status.run(),
+        Command::View(view) => view.run(),
         Command::Arm(ask) => ask.run(Word::Arm),
         Command::Disarm(ask) => ask.run(Word::Disarm),
         Command::Hold(ask) => ask.run(Word::Hold),
