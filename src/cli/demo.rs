@@ -11,6 +11,7 @@ mod setup;
 mod wire;
 
 use super::scenario_client::approach_s;
+use super::view::DEFAULT_PORT;
 use super::{Outcome, complain, print_json, print_text};
 use children::{Children, Ended};
 use clap::{Args, ValueEnum};
@@ -74,6 +75,9 @@ pub(crate) struct Demo {
     /// Keep configuration, recordings and logs in this directory.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
+    /// Serve a page that shows the run, as `sinew view` does, at this port of 127.0.0.1 (0: a free one), and say where.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_PORT)]
+    view: Option<u16>,
     /// Kill the obstacle client (SIGKILL) at this time of the scenario.
     #[arg(long, value_name = "S", value_parser = super::positive_seconds)]
     kill_obstacle_client_at: Option<f64>,
@@ -158,6 +162,9 @@ impl Demo {
         let begin = Instant::now();
         children.start_plant(setup, stop)?;
         children.start_daemon(setup)?;
+        if let Some(port) = self.view {
+            complain(format_args!("the arm is shown at {}", children.start_view(setup, port)?));
+        }
         // They wait for the daemon by themselves, and in lockstep its first tick waits for them.
         children.start_clients(setup)?;
         let mut client = loop {

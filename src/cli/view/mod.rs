@@ -31,12 +31,12 @@ pub(crate) struct View {
     #[command(flatten)]
     which: Which,
     /// Port on 127.0.0.1; 0 takes a free one.
-    #[arg(long, default_value_t = DEFAULT_PORT)]
+    #[arg(long, default_value = DEFAULT_PORT)]
     port: u16,
 }
 
-/// Port where none is given.
-pub(super) const DEFAULT_PORT: u16 = 7460;
+/// Port where none is given, as an argument.
+pub(super) const DEFAULT_PORT: &str = "7460";
 /// How often it is looked whether a signal came.
 const LOOK: Duration = Duration::from_millis(50);
 
