@@ -141,7 +141,7 @@ test("a planted fault is told with its remedy, and the page outlives its daemon"
     daemon.kill("SIGKILL");
     await daemon.ended;
     await until("that it has gone", async () => !/live/.test(await text(page, "#link")), 30);
-    assert.equal((await newest(page)).tick, last.tick > (await newest(page)).tick ? -1 : (await newest(page)).tick);
+    assert.ok((await newest(page)).tick >= last.tick);
     assert.ok(await page.$(".alarm.fault"));
     daemon = run();
     await until("records of the next daemon", async () => {

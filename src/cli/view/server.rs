@@ -3,7 +3,7 @@
 //! All is read only, and all that the page loads comes from here. A page of another site that finds the port may not read it:
 //! requests must name this computer as their host (so no name that was bent to 127.0.0.1 serves), and no other origin is permitted.
 
-use super::hub::{Hub, Piece, Topic};
+use super::hub::{Hub, Piece};
 use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap, X_CONTENT_TYPE_OPTIONS};

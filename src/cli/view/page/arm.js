@@ -182,7 +182,7 @@ export class Arm {
   }
 
   showCables(chain, frame) {
-    const thin = 0.035 * this.radius;
+    const thin = 0.045 * this.radius;
     const colour = new THREE.Color();
     let n = 0;
     this.known.cables.forEach((cable, c) => {

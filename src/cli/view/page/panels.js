@@ -153,8 +153,10 @@ export class Panels {
     if (fault) line("in fault", fault, "bad");
     for (const bus of status.buses) {
       const trouble = bus.lost + bus.unsent > 0 ? `, ${bus.lost} lost, ${bus.unsent} unsent` : "";
-      const state = bus.state === "active" || bus.state === "error active" ? "good" : "warn";
-      line(bus.name, `${(100 * bus.load_measured).toFixed(0)} % of ${(100 * bus.load_limit).toFixed(0)} %${trouble}`, trouble ? "warn" : state);
+      const well = bus.state === "ErrorActive";
+      const told = well ? "" : `${bus.state}, `;
+      const state = { BusOff: "bad", Down: "bad" }[bus.state] ?? (well && !trouble ? "good" : "warn");
+      line(bus.name, `${told}${(100 * bus.load_measured).toFixed(0)} % of ${(100 * bus.load_limit).toFixed(0)} %${trouble}`, state);
     }
     $("drives").replaceChildren(table);
   }

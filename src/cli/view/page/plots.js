@@ -43,6 +43,8 @@ class Plot {
     parent.append(this.element);
     this.bounds = () => [];
     this.least = 0;
+    this.span = [0, 1];
+    this.mark = null;
   }
 
   make(series, options, seek) {
@@ -76,7 +78,6 @@ class Plot {
       [[], ...series.map(() => [])],
       this.area,
     );
-    this.mark = null;
     this.plot.over.addEventListener("click", () => seek(this.plot.posToVal(this.plot.cursor.left, "x")));
     new ResizeObserver(() => {
       const { clientWidth: width, clientHeight: height } = this.area;
@@ -137,7 +138,7 @@ export class Plots {
     if (!known) return;
     const low = Math.min(...known.map((c) => c.tension_n[0]));
     const high = Math.max(...known.map((c) => c.tension_n[1]));
-    this.tension.bounds = () => [[low, "quiet", "least"], [high, "bad", "most"]];
+    this.tension.bounds = () => [...(low > 0.02 * high ? [[low, "quiet", "least"]] : []), [high, "bad", "most"]];
     const segments = 1 + Math.max(...known.map((c) => c.segment));
     this.tension.key.innerHTML = "segment" + Array.from({ length: segments },
       (_, s) => `<i style="background:${segmentColour(s)}"></i>${s + 1}`).join("");

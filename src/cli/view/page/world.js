@@ -107,18 +107,20 @@ export class World {
 
   /** A grid below the arm, and the axes of the base frame at its base. */
   makeGround() {
-    const reach = 1.2 * this.size;
     const down = this.along.dot(this.up) < -0.3;
-    const step = 10 ** Math.floor(Math.log10(this.size / 3));
-    const count = 2 * Math.ceil(reach / step);
+    // 1, 2 or 5 times a power of ten, about a seventh of the arm.
+    const rough = this.size / 7;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const step = power * [5, 2, 1].find((n) => n * power <= rough);
+    const count = 2 * Math.ceil((0.85 * this.size) / step);
     this.grid = new THREE.GridHelper(count * step, count);
     this.grid.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), this.up);
     this.grid.position.copy(this.root).addScaledVector(this.up, down ? -1.12 * this.size : -0.05 * this.size);
     this.grid.material.transparent = true;
-    this.axes = new THREE.AxesHelper(0.14 * this.size);
+    this.axes = new THREE.AxesHelper(0.09 * this.size);
+    this.axes.setColors(0xd1495b, 0x4c9f70, 0x3f78b5);
     this.axes.position.copy(this.root);
     this.space.add(this.grid, this.axes);
-    this.step = step;
   }
 
   /** Turns the camera to one of the named directions, with the whole arm in sight. */
@@ -131,7 +133,7 @@ export class World {
       side,
       end: this.along.clone().addScaledVector(front, 1e-3),
     }[view].normalize();
-    const half = 0.66 * this.size;
+    const half = 0.6 * this.size;
     const room = Math.min(1, this.camera.aspect || 1);
     const away = half / Math.tan((Math.PI / 360) * this.camera.fov) / room;
     this.controls.target.copy(middle);
