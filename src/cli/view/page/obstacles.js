@@ -70,6 +70,7 @@ export class Obstacles {
 
   show(list) {
     const seen = new Set();
+    this.crowd = new Set(list.map((o) => o.source)).size > 1;
     for (const o of list) {
       const key = `${o.source}/${o.id}/${o.kind}/${o.dimensions_m}/${o.vertices_m ?? ""}`;
       seen.add(key);
@@ -103,7 +104,7 @@ export class Obstacles {
     item.shell.material.color.set(styled(item.state === "" || item.state === "unknown" ? "obstacle" : colour));
     item.body.material.opacity = o.kind === "half-space" ? 0.25 : item.state === "unknown" ? 0.3 : 0.8;
     item.distance = d ?? Infinity;
-    const title = `${o.source}:${o.id}`;
+    const title = this.crowd ? `${o.id} of source ${o.source}` : `obstacle ${o.id}`;
     item.text = d === null ? `${title} not taken over` : `${title} · ${(1000 * d).toFixed(0)} mm`;
   }
 

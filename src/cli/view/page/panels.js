@@ -13,6 +13,14 @@ function make(tag, text, name) {
   return element;
 }
 
+/** A sentence: it begins with a capital, and what stands between backticks is code. */
+function sentence(text, tag = "span") {
+  const element = document.createElement(tag);
+  const begun = text.charAt(0).toUpperCase() + text.slice(1);
+  begun.split("`").forEach((part, i) => element.append(i % 2 ? make("code", part) : part));
+  return element;
+}
+
 /** Replaces what an element holds, where it is not the same already: what was unfolded or selected stays. */
 function fill(parent, key, build) {
   if (parent.dataset.key === key) return;
@@ -60,8 +68,7 @@ export class Panels {
     mode.style.background = modeColour(frame.mode);
     fill($("limits"), frame.limits.join(), () => frame.limits.map((code) => make("span", words.limits[code] ?? `limit ${code}`)));
     this.facts(frame, status);
-    const [x, y, z] = frame.tip.map((v) => (1000 * v).toFixed(1));
-    $("tip").textContent = `${x}, ${y}, ${z} mm`;
+    $("tip").textContent = `${frame.tip.map((v) => (1000 * v).toFixed(1).replace(/^-(0\.0)$/, "$1")).join(", ")} mm`;
     const bends = frame.error_m === null && frame.curvature_error_1pm !== null;
     $("error-label").textContent = bends ? "Curvature error" : "Tip error";
     $("error").textContent = bends ? `${frame.curvature_error_1pm.toFixed(4)} 1/m` : mm(frame.error_m, 2);
@@ -150,7 +157,11 @@ export class Panels {
     };
     line("ready", `${ready} of ${count}`, ready === count ? "good" : "warn");
     line("giving torque", `${enabled}`, enabled === count ? "good" : "");
-    if (fault) line("in fault", fault, "bad");
+    if (fault) {
+      // The first card has it in full.
+      line("in fault", fault.split(":")[0], "bad");
+      table.lastChild.title = fault;
+    }
     for (const bus of status.buses) {
       const trouble = bus.lost + bus.unsent > 0 ? `, ${bus.lost} lost, ${bus.unsent} unsent` : "";
       const well = bus.state === "ErrorActive";
@@ -164,13 +175,13 @@ export class Panels {
 
 function card(kind, what, since, does, clears) {
   const element = make("div", undefined, `alarm ${kind}`);
-  const title = make("b", what);
+  const title = sentence(what, "b");
   if (since !== undefined && since !== null) element.append(make("span", `since ${since.toFixed(2)} s`, "since"));
   element.append(title);
   for (const [name, text] of [["", does], ["To clear: ", clears]]) {
     if (!text) continue;
     const line = make("p", name);
-    line.append(make("span", text));
+    line.append(sentence(text));
     element.append(line);
   }
   return element;
@@ -179,7 +190,7 @@ function card(kind, what, since, does, clears) {
 function notes(list) {
   const details = make("details", undefined, "notes");
   const items = make("ul");
-  for (const a of list) items.append(make("li", a.does ? `${a.what}: ${a.does}` : a.what));
+  for (const a of list) items.append(sentence(a.does ? `${a.what}: ${a.does}` : a.what, "li"));
   details.append(make("summary", `${list.length} ${list.length === 1 ? "note" : "notes"} on drives and real-time rights`), items);
   return details;
 }

@@ -147,8 +147,9 @@ export class Plots {
   show(frames, shown, seconds, paused) {
     if (!this.tension.plot) this.makeTension(shown.command_n.length);
     const end = frames.at(-1).t;
-    const span = [end - seconds, end];
-    const used = frames.filter((f) => f.t >= span[0] - 1);
+    const begin = Math.max(frames[0].t, end - seconds);
+    const span = [begin, Math.max(end, begin + 2)];
+    const used = frames.filter((f) => f.t >= begin - 1);
     const x = used.map((f) => f.t);
     const mark = paused ? shown.t : null;
     const status = shown.status;
