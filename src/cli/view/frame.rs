@@ -34,8 +34,9 @@ pub(super) struct Frame {
     command_n: Vec<f32>,
     measured_n: Vec<f32>,
     obstacles: Vec<Seen>,
-    /// Smallest distance since the frame before.
+    /// Smallest distance since the frame before, to surfaces and to what they are grown to.
     nearest_m: Option<f32>,
+    nearest_grown_m: Option<f32>,
     /// The longest since the frame before.
     stages_us: Stages,
     left_out: u64,
@@ -98,6 +99,7 @@ pub(super) struct Worst {
     /// Of the tick that took longest.
     slowest: Option<TickTiming>,
     nearest_m: Option<f64>,
+    nearest_grown_m: Option<f64>,
 }
 
 impl Worst {
@@ -106,9 +108,10 @@ impl Worst {
         if self.slowest.is_none_or(|slowest| state.timing.cycle_ns >= slowest.cycle_ns) {
             self.slowest = Some(state.timing);
         }
-        let nearest = used_distances(state).iter().map(|d| d.surface_distance_m).fold(f64::INFINITY, f64::min);
-        if nearest.is_finite() {
-            self.nearest_m = Some(self.nearest_m.map_or(nearest, |m| m.min(nearest)));
+        for d in used_distances(state).iter().filter(|d| d.surface_distance_m.is_finite()) {
+            let least = |known: Option<f64>, found: f64| Some(known.map_or(found, |known| known.min(found)));
+            self.nearest_m = least(self.nearest_m, d.surface_distance_m);
+            self.nearest_grown_m = least(self.nearest_grown_m, d.surface_distance_m - d.growth_m);
         }
     }
 }
@@ -152,6 +155,7 @@ impl Frame {
             measured_n: state.tension_measured_n[..cables].iter().map(|u| *u as f32).collect(),
             obstacles: sets.values().flat_map(|set| set.used().iter().map(|o| seen(o, set, state))).collect(),
             nearest_m: worst.nearest_m.and_then(known),
+            nearest_grown_m: worst.nearest_grown_m.and_then(known),
             stages_us: worst.slowest.map_or_else(Stages::default, Stages::of),
             left_out: state.ticks_missed,
             records_dropped: state.records_dropped,
@@ -240,6 +244,7 @@ mod tests {
         let frame = Frame::new(&state, &worst, &BTreeMap::from([(3, set)]), &names);
         assert_eq!((frame.stages_us.cycle, frame.stages_us.plan), (900.0, 450.0));
         assert_eq!((frame.nearest_m, frame.obstacles[0].distance_m), (Some(0.2), Some(0.25)));
+        assert_eq!(frame.nearest_grown_m, Some((0.2f64 - 0.01) as f32));
         assert!((frame.obstacles[0].position_m[0] - 2.0).abs() < 1e-6);
         assert_eq!(frame.obstacles[1].distance_m, None, "the loop does not know it");
         assert!(frame.target.is_none() && frame.error_m.is_none());

@@ -105,7 +105,8 @@ export class Obstacles {
     item.body.material.opacity = o.kind === "half-space" ? 0.25 : item.state === "unknown" ? 0.3 : 0.8;
     item.distance = d ?? Infinity;
     const title = this.crowd ? `${o.id} of source ${o.source}` : `obstacle ${o.id}`;
-    item.text = d === null ? `${title} not taken over` : `${title} · ${(1000 * d).toFixed(0)} mm`;
+    const grown = o.growth_m >= 0.0005 ? `, grown by ${(1000 * o.growth_m).toFixed(0)} mm` : "";
+    item.text = d === null ? `${title} not taken over` : `${title} · ${(1000 * d).toFixed(0)} mm${grown}`;
   }
 
   /** Puts the labels where the camera sees the obstacles. */

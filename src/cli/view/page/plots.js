@@ -109,7 +109,8 @@ export class Plots {
     this.error = new Plot(parent, "error", "Tip error", "mm").make([line(() => styled("accent"))], {}, seek);
     this.tension = new Plot(parent, "tension", "Tensions", "N", "high");
     this.distance = new Plot(parent, "distance", "Least distance", "mm").make(
-      [line(() => styled("target"), { fill: () => `color-mix(in srgb, ${styled("target")} 10%, transparent)` })], {}, seek);
+      [line(() => styled("quiet"), { width: 1 }), line(() => styled("target"), { fill: () => `color-mix(in srgb, ${styled("target")} 10%, transparent)` })], {}, seek);
+    this.distance.key.innerHTML = '<i style="background:var(--quiet)"></i>to what an obstacle is grown to<i style="background:var(--target)"></i>to its surface';
     this.distance.bounds = () => [[mm(scene.geometry?.clearance_m), "bad", "clearance"]];
     const stacked = STAGES.map(([, colour], i) => line(colour, { width: i === STAGES.length - 1 ? 1 : 0.5, fill: i === 0 ? colour : undefined }));
     // Each stage fills down to the one before it.
@@ -165,7 +166,7 @@ export class Plots {
     const most = Math.max(...shown.command_n);
     this.tension.show([x, ...tensions], span, mark, shown.command_n.length ? `${least.toFixed(1)} to ${most.toFixed(1)} N` : "");
 
-    this.distance.show([x, used.map((f) => mm(f.nearest_m))], span, mark, number(mm(shown.nearest_m), 1, "mm"));
+    this.distance.show([x, used.map((f) => mm(f.nearest_grown_m)), used.map((f) => mm(f.nearest_m))], span, mark, number(mm(shown.nearest_m), 1, "mm"));
 
     let below = used.map(() => 0);
     const stages = STAGES.map(([name]) => (below = below.map((sum, i) => sum + used[i].stages_us[name] / 1000)));
