@@ -148,9 +148,9 @@ impl Geometry {
         let elements = elements.collect();
         let (names, maxima) = (arm.cable_names(), arm.tension_maxima_n());
         let cables = (0..model.cable_count()).map(|cable| {
-            let passes = model.passes.iter().filter(|pass| pass.cable == cable);
+            let mut passes = model.passes.iter().filter(|pass| pass.cable == cable);
             let mut holes_m: Vec<[f64; 2]> = passes.clone().map(|pass| [pass.hole.y, pass.hole.z]).collect();
-            holes_m.extend(passes.last().map(|pass| [pass.end.y, pass.end.z]));
+            holes_m.extend(passes.next_back().map(|pass| [pass.end.y, pass.end.z]));
             Cable {
                 name: names.words(cable),
                 segment: model.cable_segment[cable],

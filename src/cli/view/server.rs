@@ -6,7 +6,9 @@
 use super::hub::{Hub, Piece};
 use axum::Router;
 use axum::extract::{Request, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap, X_CONTENT_TYPE_OPTIONS,
+};
 use axum::http::{StatusCode, Uri};
 use axum::middleware::{Next, from_fn};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -82,7 +84,8 @@ fn is_local(headers: &HeaderMap) -> bool {
 
 async fn local_alone(request: Request, next: Next) -> Response {
     if !is_local(request.headers()) {
-        return (StatusCode::FORBIDDEN, "sinew view serves http://127.0.0.1 and http://localhost alone\n").into_response();
+        return (StatusCode::FORBIDDEN, "sinew view serves http://127.0.0.1 and http://localhost alone\n")
+            .into_response();
     }
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
