@@ -13,11 +13,13 @@
 
 mod cdr;
 mod files;
+mod indexed;
 mod reader;
 mod recorder;
 mod schema;
 
 pub use files::{Bounds, utc_text, wall_clock_offset_ns};
+pub use indexed::{IndexedFile, IndexedMessage};
 pub use reader::{RecordedMessage, read, read_each};
 pub use recorder::{Recorder, Recording};
 
@@ -33,6 +35,12 @@ pub enum RecordingError {
         path: String,
         /// Cause.
         source: std::io::Error,
+    },
+    /// It cannot be read by its index.
+    #[error("{path}: no index at its end: it is no recording, or was cut short")]
+    NoIndex {
+        /// Path.
+        path: String,
     },
     /// The container format.
     #[error("recording: {}", reason(.0))]

@@ -67,7 +67,7 @@ fn parse(schema: &str) -> Vec<(String, Vec<(String, String)>)> {
     types
 }
 
-fn decode(schema: &str, data: &[u8]) -> Result<Value, String> {
+pub(super) fn decode(schema: &str, data: &[u8]) -> Result<Value, String> {
     let types = parse(schema);
     if data.get(..4) != Some(&[0, 1, 0, 0]) {
         return Err("not little-endian CDR".into());

@@ -125,6 +125,11 @@ fn known(x: f64) -> Option<f32> {
 }
 
 impl Frame {
+    /// Whether both are of the same tick.
+    pub(super) const fn is_at(&self, other: &Self) -> bool {
+        self.tick == other.tick
+    }
+
     /// Of the newest record; `worst` is that of all since the last frame, `sets` the last one of each source.
     pub(super) fn new(state: &State, worst: &Worst, sets: &BTreeMap<u32, Obstacles>, names: &CableNames) -> Self {
         let nodes = (state.node_count as usize).min(state.node_position_m.len());

@@ -18,6 +18,15 @@ pub(super) struct Scene {
     source: Option<String>,
     geometry: Option<Geometry>,
     words: Words,
+    /// What is looked at; null for a running daemon.
+    recording: Option<Recording>,
+}
+
+/// A file, and the times of its first and last record (s).
+#[derive(Debug, Clone, Serialize)]
+struct Recording {
+    file: String,
+    span_s: [f64; 2],
 }
 
 /// Everything in the base frame or in the frame of a node, whose x axis is the backbone's tangent.
@@ -97,6 +106,7 @@ impl Scene {
             source: Some("the configuration".into()),
             geometry: Some(Geometry::of(config)),
             words: Words::new(),
+            recording: None,
         }
     }
 
@@ -108,8 +118,15 @@ impl Scene {
             source: config.as_ref().map(|_| format!("the built-in arm `{arm}`")),
             geometry: config.as_ref().map(Geometry::of),
             words: Words::new(),
+            recording: None,
         };
         (scene, config)
+    }
+
+    /// The same of a recording.
+    pub(super) fn recorded(mut self, file: String, span_s: [f64; 2]) -> Self {
+        self.recording = Some(Recording { file, span_s });
+        self
     }
 }
 

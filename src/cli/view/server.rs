@@ -4,8 +4,9 @@
 //! requests must name this computer as their host (so no name that was bent to 127.0.0.1 serves), and no other origin is permitted.
 
 use super::hub::{Hub, Piece};
+use super::recorded::Recorded;
 use axum::Router;
-use axum::extract::{Request, State};
+use axum::extract::{Path, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap, X_CONTENT_TYPE_OPTIONS,
 };
@@ -17,7 +18,7 @@ use axum::routing::get;
 use futures_util::stream::{Stream, unfold};
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 
@@ -43,6 +44,7 @@ static FILES: &[(&str, &str, &str)] = files! {
     "arm.js", SCRIPT;
     "world.js", SCRIPT;
     "obstacles.js", SCRIPT;
+    "playback.js", SCRIPT;
     "plots.js", SCRIPT;
     "panels.js", SCRIPT;
     "window.js", SCRIPT;
@@ -63,6 +65,8 @@ pub(super) struct Site {
     pub(super) hub: Arc<Hub>,
     /// What does not, as JSON.
     pub(super) scene: Arc<str>,
+    /// The recording that is looked at, in place of what moves.
+    pub(super) recorded: Option<Arc<Mutex<Recorded>>>,
 }
 
 /// All that is served.
@@ -70,6 +74,7 @@ pub(super) fn router(site: Site) -> Router {
     Router::new()
         .route("/scene", get(scene))
         .route("/events", get(events))
+        .route("/frames/{from_s}/{to_s}/{most}", get(frames))
         .fallback(get(file))
         .layer(from_fn(local_alone))
         .with_state(site)
@@ -107,6 +112,20 @@ async fn file(uri: Uri) -> Response {
 
 async fn scene(State(site): State<Site>) -> Response {
     ([(CONTENT_TYPE, "application/json")], site.scene.to_string()).into_response()
+}
+
+/// Frames of a recording: at most so many, of a range of times (s).
+async fn frames(State(site): State<Site>, Path((from_s, to_s, most)): Path<(f64, f64, usize)>) -> Response {
+    let Some(recorded) = site.recorded else { return StatusCode::NOT_FOUND.into_response() };
+    let read = move || {
+        let frames = recorded.lock().unwrap_or_else(PoisonError::into_inner).frames([from_s, to_s], most);
+        frames.map_err(|e| e.to_string()).and_then(|frames| serde_json::to_string(&frames).map_err(|e| e.to_string()))
+    };
+    match tokio::task::spawn_blocking(read).await {
+        Ok(Ok(text)) => ([(CONTENT_TYPE, "application/json")], text).into_response(),
+        Ok(Err(why)) => (StatusCode::INTERNAL_SERVER_ERROR, why).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
 }
 
 async fn events(State(site): State<Site>) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {

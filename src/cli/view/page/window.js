@@ -38,6 +38,13 @@ export class Window {
     this.frames = frames;
   }
 
+  /** Shows one of these frames, and nothing that comes. */
+  hold(frames, index) {
+    this.reset(frames);
+    this.held = frames;
+    this.index = index;
+  }
+
   setStatus(status) {
     this.status = status;
     const newest = this.frames.at(-1);
