@@ -61,7 +61,7 @@ enum Command {
     Run(run::Run),
     /// Show a running daemon: mode, faults, times, buses, sources, rights.
     Status(status::Status),
-    /// Show a running arm in a browser: in 3D, with plots of the last minute, alarms and sources. It reads only.
+    /// Show a running arm, or a recording, in a browser: in 3D, with plots, alarms and sources. It reads only.
     View(view::View),
     /// Bring the drives up and hold the pose.
     Arm(requests::Ask),

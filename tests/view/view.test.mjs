@@ -156,6 +156,51 @@ test("a planted fault is told with its remedy, and the page outlives its daemon"
   }
 });
 
+test("a recording is shown, scrubbed in parts, and played", { timeout: 240000 }, async () => {
+  const bench = new Bench();
+  try {
+    const file = join(bench.folder, "run.mcap");
+    await bench.start(sinew, "plan", "tip-no-avoidance", "--out", file).ended;
+    const page = await open(chromium, await bench.view(file));
+    await until("the whole recording", () => page.evaluate(() => globalThis.sinew?.store.current));
+    const whole = await page.evaluate(() => {
+      const { store, scene } = globalThis.sinew;
+      return { from: store.shown[0].t, to: store.shown.at(-1).t, span: scene.recording.span_s, count: store.shown.length };
+    });
+    assert.ok(whole.count > 500 && whole.from === whole.span[0] && whole.span[1] - whole.to < 0.2, JSON.stringify(whole));
+    const first = await agreed(page);
+
+    // The middle, then ten seconds around it, in which every step of 0.1 s is there.
+    await page.$eval("#slider", (slider) => {
+      slider.value = Math.round(slider.max / 2);
+      slider.dispatchEvent(new Event("input"));
+    });
+    const middle = await agreed(page);
+    assert.ok(Math.abs(middle.t - (whole.from + whole.to) / 2) < 1 && distance(middle.tip, first.tip) > 1e-3, JSON.stringify(middle));
+    await page.select("#span", "10");
+    const part = await until("the part", () => page.evaluate(() => {
+      const { shown, current } = globalThis.sinew.store;
+      const length = shown.at(-1).t - shown[0].t;
+      return length < 11 ? { length, count: shown.length, t: current.t, tip: current.tip, target: current.target.position_m, error: current.error_m } : null;
+    }));
+    assert.ok(part.length > 9.7 && part.count >= 98 && part.t === middle.t, JSON.stringify(part));
+    assert.deepEqual(part.tip, middle.tip);
+    assert.ok(Math.abs(distance(part.tip, part.target) - part.error) < 1e-5, JSON.stringify(part));
+
+    await page.click("#pause");
+    await until("a later record", async () => (await page.evaluate(() => globalThis.sinew.store.current.t)) > part.t + 0.5);
+    await page.click("#pause");
+    const stopped = await agreed(page);
+    await sleep(1000);
+    assert.equal((await agreed(page)).t, stopped.t);
+    await picture(page, "recording");
+    assert.deepEqual(page.trouble, []);
+    await page.close();
+  } finally {
+    await bench.end();
+  }
+});
+
 test("only pages of this computer's own address are served", { timeout: 60000 }, async () => {
   const bench = new Bench();
   try {

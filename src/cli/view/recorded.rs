@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// Bytes that are read in a piece; a longer range is looked into at as many places as there are frames.
+/// Bytes that are read in a piece at most; a longer range is looked into at as many places as there are frames.
 const PIECE: u64 = 96 << 20;
 /// How long before a record the obstacles that belong to it may be (ns).
 const BEFORE_NS: u64 = 250_000_000;
@@ -31,6 +31,8 @@ pub(super) struct Recorded {
     names: CableNames,
     /// Times of the file's first record: in the file (ns), and since the loop began (s).
     origin: (u64, f64),
+    /// Bytes that are read in a piece.
+    piece: u64,
 }
 
 impl Recorded {
@@ -43,7 +45,7 @@ impl Recorded {
             Ok(ControlFlow::Break(()))
         })?;
         let nothing = || RecordingError::Message { topic: "state".into(), why: "there is none".into() };
-        Ok(Self { file, names: CableNames::new([]), origin: origin.ok_or_else(nothing)? })
+        Ok(Self { file, names: CableNames::new([]), origin: origin.ok_or_else(nothing)?, piece: PIECE })
     }
 
     /// Name of its arm.
@@ -74,7 +76,7 @@ impl Recorded {
         let (from, to) = (self.ns(from_s), self.ns(to_s).saturating_add(1));
         let most = most.clamp(2, 4000);
         let step = (to.saturating_sub(from) / most as u64).max(1);
-        if self.file.bytes(&(from..to)) <= PIECE {
+        if self.file.bytes(&(from..to)) <= self.piece {
             return self.read(from..to, step, most);
         }
         let mut frames: Vec<Frame> = Vec::with_capacity(most);
@@ -349,4 +351,67 @@ fn obstacles(message: &IndexedMessage<'_>) -> Result<Obstacles, RecordingError> 
         let _ = if vertices.is_empty() { set.push(obstacle) } else { set.push_hull(obstacle, &vertices) };
     }
     Ok(set)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sinew::recording::Recording;
+
+    /// 20 s at 1 kHz from 5 s after the loop's begin on, with a tip and an obstacle that move.
+    fn recorded(folder: &Path) -> Recorded {
+        let path = folder.join("run.mcap");
+        let mut file = Recording::create(&path, "paper", &BTreeMap::new()).unwrap();
+        for tick in 5_000..25_000u64 {
+            let time_ns = 1_000_000 * tick;
+            let (header, time_s) = (Header { tick, ..Header::new(0, tick, time_ns) }, 1e-3 * tick as f64);
+            let mut state = State { header, time_s, tip_position_m: [time_s, 0.0, -1.0], ..State::default() };
+            state.set_nodes(3, |i| [i as f64, 0.0, time_s], |_| [1.0, 0.0, 0.0, 0.0]);
+            (state.cable_count, state.distance_count) = (2, 1);
+            state.tension_command_n[1] = 7.0;
+            state.tension_measured_n[1] = f64::NAN;
+            state.distances[0] =
+                ObstacleDistance { source_id: 3, obstacle_id: 1, surface_distance_m: 0.5, growth_m: 0.1 };
+            if tick % 30 == 0 {
+                let mut set = Obstacles { header: Header::new(3, tick, time_ns), ..Obstacles::default() };
+                let ball = Obstacle::ball(1, [0.0, time_s, 0.0], 0.1);
+                assert!(set.push(Obstacle { velocity_mps: [0.0, 1.0, 0.0], ..ball }));
+                file.obstacles(time_ns, &set).unwrap();
+            }
+            file.state(time_ns, &state).unwrap();
+        }
+        drop(file.finish().unwrap());
+        Recorded::open(&path).unwrap()
+    }
+
+    #[test]
+    fn frames_are_the_records_of_their_times_read_through_or_looked_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorded = recorded(folder.path());
+        let [first, last] = recorded.span_s();
+        assert_eq!((recorded.arm(), first), ("paper", 5.0));
+        assert!((last - 24.999).abs() < 1e-9);
+        for piece in [PIECE, 1] {
+            recorded.piece = piece;
+            for (from, to, most, count) in [(5.0, 24.999, 100, 100), (12.0, 12.0495, 1000, 50), (24.9, 30.0, 10, 1)] {
+                let frames = recorded.frames([from, to], most).unwrap();
+                assert!(frames.len() == count || count == 1 && !frames.is_empty(), "{piece} {from}: {}", frames.len());
+                let json = serde_json::to_value(&frames).unwrap();
+                for (i, frame) in json.as_array().unwrap().iter().enumerate() {
+                    let t = frame["t"].as_f64().unwrap();
+                    let wanted = from + (to - from) * i as f64 / most.min(count) as f64;
+                    assert!(
+                        count == 1 || (t - wanted).abs() < 0.01 * (to - from) + 1.1e-3,
+                        "{piece}: {t} for {wanted}"
+                    );
+                    assert_eq!(frame["tip"][0].as_f64(), Some(t));
+                    assert_eq!(frame["nodes"].as_array().unwrap().len(), 21);
+                    assert_eq!((&frame["command_n"][1], frame["measured_n"][1].is_null()), (&7.0.into(), true));
+                    let y = frame["obstacles"][0]["position_m"][1].as_f64().unwrap();
+                    assert!((y - t).abs() < 1e-3, "{piece}: an obstacle at {y} at {t}");
+                    assert_eq!(frame["obstacles"][0]["distance_m"].as_f64(), Some(0.5));
+                }
+            }
+        }
+    }
 }

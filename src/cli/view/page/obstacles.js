@@ -54,6 +54,8 @@ export class Obstacles {
     const shell = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.13, depthWrite: false, side });
     const item = { body: new THREE.Mesh(shape(o, 0, this.size), body), shell: new THREE.Mesh(new THREE.BufferGeometry(), shell) };
     item.growth = -1;
+    item.body.geometry.computeBoundingSphere();
+    item.radius = flat ? 0 : item.body.geometry.boundingSphere.radius;
     item.label = document.createElement("span");
     this.group.add(item.body, item.shell);
     return item;
@@ -113,14 +115,18 @@ export class Obstacles {
   label(camera, width, height) {
     const items = [...this.known.values()].sort((a, b) => a.distance - b.distance);
     const point = new THREE.Vector3();
+    const scale = height / (2 * Math.tan((Math.PI / 360) * camera.fov));
     items.forEach((item, i) => {
+      const away = camera.position.distanceTo(item.body.position);
+      // Above it, where it is not as large as the picture.
+      const above = Math.min(0.3 * height, (item.radius * scale) / away + 11);
       point.copy(item.body.position).project(camera);
       const visible = i < LABELS && Math.abs(point.x) < 1 && Math.abs(point.y) < 1 && point.z < 1;
       if (!visible) return item.label.remove();
       item.label.className = item.state;
       if (item.label.textContent !== item.text) item.label.textContent = item.text;
       item.label.style.left = `${((point.x + 1) / 2) * width}px`;
-      item.label.style.top = `${((1 - point.y) / 2) * height}px`;
+      item.label.style.top = `${((1 - point.y) / 2) * height - above}px`;
       if (!item.label.isConnected) this.labels.append(item.label);
     });
   }

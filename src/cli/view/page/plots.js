@@ -118,7 +118,7 @@ export class Plots {
     this.stages = new Plot(parent, "stages", "Times of a tick", "ms").make(stacked, { bands }, seek);
     this.stages.key.innerHTML = STAGES.map(([name, colour]) => `<i style="background:${colour}"></i>${name}`).join("");
     this.stages.bounds = () => [[this.period === null ? null : 1000 * this.period, "bad", "period"]];
-    this.missed = new Plot(parent, "missed", "Missed deadlines", "", "low").make(
+    this.missed = new Plot(parent, "missed", scene.recording ? "Ticks left out" : "Missed deadlines", "", "low").make(
       [line(() => styled("bad"), { paths: uPlot.paths.stepped({ align: 1 }), fill: () => styled("bad-back") })], { times: true }, seek);
     this.missed.least = 1;
     this.seek = seek;
