@@ -48,7 +48,7 @@ pub(super) fn follow(hub: &Hub, which: &Which, names: &CableNames, stop: &Atomic
             Ok(Err(error)) => error.to_string(),
             Err(error) => error.to_string(),
         };
-        if said.is_empty() || !why.starts_with("the daemon has ended") && why != said {
+        if why != said {
             hub.say(Topic::Link, &Link { connected: false, why: &why });
             said = why;
         }

@@ -372,7 +372,7 @@ mod tests {
             state.tension_measured_n[1] = f64::NAN;
             state.distances[0] =
                 ObstacleDistance { source_id: 3, obstacle_id: 1, surface_distance_m: 0.5, growth_m: 0.1 };
-            if tick % 30 == 0 {
+            if tick % 25 == 0 {
                 let mut set = Obstacles { header: Header::new(3, tick, time_ns), ..Obstacles::default() };
                 let ball = Obstacle::ball(1, [0.0, time_s, 0.0], 0.1);
                 assert!(set.push(Obstacle { velocity_mps: [0.0, 1.0, 0.0], ..ball }));
