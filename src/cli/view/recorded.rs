@@ -82,7 +82,7 @@ impl Recorded {
         let mut frames: Vec<Frame> = Vec::with_capacity(most);
         for place in 0..most as u64 {
             let at = from + place * step;
-            if let Some(frame) = self.read(at..at.saturating_add(AFTER_NS), u64::MAX, 1)?.pop()
+            if let Some(frame) = self.read(at..at.saturating_add(AFTER_NS).min(to), u64::MAX, 1)?.pop()
                 && frames.last().is_none_or(|last| !last.is_at(&frame))
             {
                 frames.push(frame);
