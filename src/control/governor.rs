@@ -164,7 +164,7 @@ impl Governor {
             holds_tip: None,
             reach: None,
             missed_s: 0.0,
-            offset: TipOffset::new(scale.time_s(MEAN), OFFSET_MAX * config.length_m()),
+            offset: TipOffset::new(scale.time_s(MEAN), scale.time_s(FADE), OFFSET_MAX * config.length_m()),
             goal: vec![0.0; count],
             path: Path::new(count),
             desired: vec![0.0; count],
@@ -402,9 +402,7 @@ impl Governor {
         let moved = Moved::between(&self.wished, &wished);
         self.wished = wished;
         let following = self.kind == Kind::Tip && !self.search.is_under_way();
-        if following && !self.path.is_under_way() && moved.way != Vector3::zeros() {
-            self.offset.follow(h);
-        }
+        self.offset.follow(h, following && !self.path.is_under_way() && moved.way != Vector3::zeros());
         let led = (self.offset.lead(position), *quaternion);
         // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
         // rest of the way is a path.

@@ -463,8 +463,8 @@ impl Reference {
             // What the obstacle takes of the distance by its own motion (m/s).
             let before = now.distance(&row.position).0 - row.inflation;
             let growing = (now.growth() - self.growth[row.obstacle]).max(0.0) / h;
-            let closing = (before - row.distance) / around.span_s + growing.min(GROWTH_MAX_1PS * reach_m);
-            let closing = closing.max(0.0);
+            let growing = growing.min(GROWTH_MAX_1PS * reach_m);
+            let closing = ((before - row.distance) / around.span_s + growing).max(0.0);
             let margin = row.distance - closing * around.beyond_s - clearance_m;
             let ball = ball(&row, around).filter(|b| b.velocity.norm() > DODGE_SLOWEST * withdrawal_mps);
             if kept < PAIRS_MAX
@@ -481,11 +481,13 @@ impl Reference {
                 break;
             }
             let moved = self.point_row(&row, &row.normal, kept);
+            // One that only grows is no motion to begin softly for.
+            let giving_way = 1.0 - (1.0 - GIVING_WAY) * (1.0 - growing / closing.max(f64::MIN_POSITIVE)).max(0.0);
             // The arm's own way towards it, or what it takes by coming nearer: whichever is the more.
             let own = (approach_1ps * margin).max(-withdrawal_mps);
             let theirs = match ball {
                 Some(_) => CLOSING * approach_1ps * (margin - REACTION / approach_1ps * closing).max(0.0),
-                None => GIVING_WAY * approach_1ps * margin.max(0.0),
+                None => giving_way * approach_1ps * margin.max(0.0),
             } - closing;
             self.d[kept] = moved + h * own.min(theirs);
             // In the step's box the least; in bends of HOPELESS_RAD the most.
