@@ -47,6 +47,7 @@ mod threads;
 mod tick;
 mod warm_up;
 mod watch;
+pub mod words;
 
 pub use bus_thread::ENCODER_SOURCE_ID;
 pub use deadlines::overran;
@@ -64,7 +65,7 @@ use crate::control::Settings;
 use crate::ipc::{
     ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
 };
-use crate::recording::{Bounds, Recorder, wall_clock_offset_ns};
+use crate::recording::{About, Bounds, Recorder, Viewer, wall_clock_offset_ns};
 use bus_thread::BusThread;
 use link::{LoopTime, Progress, drives_link};
 use operator::{Address, Desk, OperatorSocket};
@@ -72,7 +73,6 @@ use sinew_hal::can::{CanBus, Filter};
 use sinew_hal::cia402::Master;
 use sinew_hal::realtime;
 use status::{Fixed, Shared, StatusServer, TickNotes};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -100,6 +100,8 @@ pub struct Options {
     pub lockstep: Option<LockstepOptions>,
     /// Recording of everything.
     pub record: Option<PathBuf>,
+    /// The text of the configuration's files, which a recording is given.
+    pub configuration: Option<String>,
     /// Seed of the planner's random numbers.
     pub seed: u64,
     /// What the loop asks for by itself.
@@ -250,7 +252,7 @@ impl Daemon {
             Some(path) => {
                 // In lockstep times are the loop's own, which no other clock knows.
                 let offset_ns = if lockstep { 0 } else { wall_clock_offset_ns() };
-                Some(Recorder::start_within(path, arm, &about(options), offset_ns, bounds(config))?)
+                Some(Recorder::start_within(path, &about(config, options), offset_ns, bounds(config))?)
             }
             None => None,
         };
@@ -522,12 +524,16 @@ fn bounds(config: &Config) -> Bounds {
     }
 }
 
-fn about(options: &Options) -> BTreeMap<String, String> {
-    BTreeMap::from([
-        ("seed".to_owned(), options.seed.to_string()),
-        ("lockstep".to_owned(), options.lockstep.is_some().to_string()),
-        ("began_ns".to_owned(), monotonic_ns().to_string()),
-    ])
+fn about(config: &Config, options: &Options) -> About {
+    let viewer = Viewer::new(&config.arm, config.recording.pictures_1ps);
+    About::new(&config.ipc.arm)
+        .with("seed", options.seed)
+        .with("lockstep", options.lockstep.is_some())
+        .with("began_ns", monotonic_ns())
+        .with("period_s", config.timing.period_s)
+        .set(config)
+        .configured(options.configuration.clone())
+        .shown(viewer.map(|viewer| viewer.telling(words::event_in_words)))
 }
 
 /// A thread with a name and, above 0, a real-time priority, if it is granted: the control thread has said what is not.
