@@ -38,6 +38,7 @@ mod link;
 mod obstacles;
 pub mod operator;
 mod reach;
+mod recorded;
 mod records;
 mod setup;
 mod statistics;
@@ -62,10 +63,7 @@ pub use tick::{AutoRequests, FIRST_SYNC, SPEED, limits};
 
 use crate::config::{Config, safe_hold_in_words};
 use crate::control::Settings;
-use crate::ipc::{
-    ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
-};
-use crate::recording::{About, Bounds, Recorder, Viewer, wall_clock_offset_ns};
+use crate::ipc::{ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels};
 use bus_thread::BusThread;
 use link::{LoopTime, Progress, drives_link};
 use operator::{Address, Desk, OperatorSocket};
@@ -248,14 +246,7 @@ impl Daemon {
         let (inputs, outputs, ends, direct) =
             channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
         let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
-        let recorder = match &options.record {
-            Some(path) => {
-                // In lockstep times are the loop's own, which no other clock knows.
-                let offset_ns = if lockstep { 0 } else { wall_clock_offset_ns() };
-                Some(Recorder::start_within(path, &about(config, options), offset_ns, bounds(config))?)
-            }
-            None => None,
-        };
+        let recorder = recorded::start(config, options)?;
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
         daemon.recording_failed = recorder.as_ref().map(Recorder::failed).unwrap_or_default();
         let (notes, after) = TickNotes::new(shared.clone());
@@ -513,27 +504,6 @@ fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError>
     }
     settings.start_tensions_n.clone_from(tensions);
     Ok(settings)
-}
-
-fn bounds(config: &Config) -> Bounds {
-    let recording = &config.recording;
-    Bounds {
-        file_bytes: recording.file_mib << 20,
-        total_bytes: recording.total_mib.map(|mib| mib << 20),
-        free_bytes: recording.free_mib << 20,
-    }
-}
-
-fn about(config: &Config, options: &Options) -> About {
-    let viewer = Viewer::new(&config.arm, config.recording.pictures_1ps);
-    About::new(&config.ipc.arm)
-        .with("seed", options.seed)
-        .with("lockstep", options.lockstep.is_some())
-        .with("began_ns", monotonic_ns())
-        .with("period_s", config.timing.period_s)
-        .set(config)
-        .configured(options.configuration.clone())
-        .shown(viewer.map(|viewer| viewer.telling(words::event_in_words)))
 }
 
 /// A thread with a name and, above 0, a real-time priority, if it is granted: the control thread has said what is not.
