@@ -34,7 +34,7 @@ fn recording(folder: &Path) -> PathBuf {
     let path = folder.join("run.mcap");
     let config = Config::builtin();
     let viewer = Viewer::new(&config.arm, 30).map(|viewer| viewer.telling(event_in_words));
-    let about = About::new("paper").with("period_s", 0.01).set(&config).shown(viewer);
+    let about = About::new("paper").with("period_s", 0.01).with("lockstep", false).set(&config).shown(viewer);
     let mut file = Recording::create(&path, &about).unwrap();
     for tick in 0..1000 {
         let time_ns = BEGAN_NS + tick * TICK_NS;

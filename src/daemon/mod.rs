@@ -248,7 +248,7 @@ impl Daemon {
         let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
         let recorder = recorded::start(config, options)?;
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
-        daemon.recording_failed = recorder.as_ref().map(Recorder::failed).unwrap_or_default();
+        daemon.recording_failed = recorder.as_ref().map(|r| r.failed()).unwrap_or_default();
         let (notes, after) = TickNotes::new(shared.clone());
         let taps = Taps { pairs, notes, recorder, cables: config.arm.cable_names() };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);

@@ -335,7 +335,9 @@ impl Shown {
     }
 
     fn scene(&mut self, time_ns: u64, state: &SeenState) -> Result<SceneUpdate, String> {
-        let mut entities = vec![self.arm(time_ns, state), self.words(time_ns, state)];
+        let mut entities = vec![self.arm(time_ns, state)];
+        // What has no words for events has no modes.
+        entities.extend(self.viewer.words.map(|_| self.words(time_ns, state)));
         if state.target_mode == TargetMode::Tip.wire() && state.target_position_m.iter().all(|x| x.is_finite()) {
             entities.push(self.target(time_ns, state));
         }

@@ -3,6 +3,7 @@
 use miette::IntoDiagnostic;
 use serde_json::Value;
 use sinew::config::{CableNames, Config};
+use sinew::ipc::payload::SupervisorState;
 use sinew::recording::{CONFIGURATION, Facts, SETTINGS, SOFTWARE, facts};
 use std::path::Path;
 
@@ -33,8 +34,23 @@ impl Context {
         self.fact("arm").unwrap_or("unknown")
     }
 
-    pub(super) fn is_lockstep(&self) -> bool {
-        self.fact("lockstep") == Some("true")
+    /// Whether a loop wrote it, and no plan and no plant.
+    pub(super) fn is_loop(&self) -> bool {
+        self.fact("lockstep").is_some()
+    }
+
+    /// Whether a loop wrote it that kept time by the clock.
+    pub(super) fn is_timed(&self) -> bool {
+        self.fact("lockstep") == Some("false")
+    }
+
+    /// A mode in a word; what no loop wrote has none.
+    pub(super) fn mode(&self, supervisor: u32) -> &'static str {
+        match SupervisorState::from_wire(supervisor).filter(|_| self.is_loop()) {
+            Some(mode) => mode.text(),
+            None if self.is_loop() => "unknown",
+            None => "without a loop",
+        }
     }
 
     /// The loop's period (s); `None` where nothing says it.

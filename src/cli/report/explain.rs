@@ -109,7 +109,10 @@ impl Told<'_> {
 
     fn mode(&self) -> Vec<String> {
         let mode = SupervisorState::from_wire(self.tick.supervisor);
-        let name = mode.map_or("unknown", SupervisorState::text);
+        let name = self.context.mode(self.tick.supervisor);
+        if !self.context.is_loop() {
+            return vec![name.to_owned()];
+        }
         let last = self.events.iter().rev().find(|e| matches!(EventClass::of(e.code), EventClass::Mode(_)));
         let begun = last.filter(|event| EventClass::of(event.code) == mode.map_or(EventClass::Other, EventClass::Mode));
         let Some(event) = begun else {
@@ -137,7 +140,7 @@ impl Told<'_> {
     fn alarms(&self) -> Vec<String> {
         let state = self.tick.state();
         // A plan and a plant's trace have no sources that could be missing.
-        let required = if self.tick.supervisor == 0 { Vec::new() } else { self.context.required() };
+        let required = if self.context.is_loop() { self.context.required() } else { Vec::new() };
         let line = |a: &alarms::Alarm| {
             let since = self.clock.seconds(a.since_ns);
             let since = if since < self.tick.time_s { format!(" since {since:.3} s") } else { String::new() };

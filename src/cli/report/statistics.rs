@@ -14,6 +14,8 @@ const DIGITS: u8 = 3;
 
 /// Collected tick by tick.
 pub(super) struct Statistics {
+    /// Whether a loop wrote it; a plan follows its target all along.
+    is_loop: bool,
     /// Of a loop that keeps time (s).
     period_s: Option<f64>,
     ticks: u64,
@@ -33,8 +35,9 @@ pub(super) struct Statistics {
 }
 
 impl Statistics {
-    pub(super) fn new(period_s: Option<f64>) -> Self {
+    pub(super) fn new(is_loop: bool, period_s: Option<f64>) -> Self {
         Self {
+            is_loop,
             period_s,
             ticks: 0,
             first: None,
@@ -51,7 +54,7 @@ impl Statistics {
         }
     }
 
-    pub(super) fn add(&mut self, tick: &Tick, _period_s: f64) {
+    pub(super) fn add(&mut self, tick: &Tick) {
         let now = (tick.header.tick, tick.time_s, tick.ticks_missed);
         self.first.get_or_insert(now);
         (self.last, self.ticks, self.records_dropped) = (now, self.ticks + 1, tick.records_dropped);
@@ -59,8 +62,7 @@ impl Statistics {
             let t = &tick.timing;
             self.overran += u64::from(overran(t.wakeup_ns, t.cycle_ns, seconds_to_ns(period_s)));
         }
-        // A plan has no supervisor and follows its target all along.
-        let follows = tick.supervisor == SupervisorState::Tracking.wire() || self.period_s.is_none();
+        let follows = !self.is_loop || tick.supervisor == SupervisorState::Tracking.wire();
         if follows && tick.tip_error_m.is_finite() {
             let (sum, count, most) = self.error_m;
             self.error_m = (sum + tick.tip_error_m, count + 1, most.max(tick.tip_error_m));

@@ -177,7 +177,7 @@ impl<'a> Reader<'a> {
             causes: BTreeMap::new(),
             happened: Vec::new(),
             events_left_out: 0,
-            statistics: Statistics::new(if context.is_lockstep() { None } else { period_s }),
+            statistics: Statistics::new(context.is_loop(), period_s.filter(|_| context.is_timed())),
             last_s: 0.0,
         }
     }
@@ -207,7 +207,7 @@ impl<'a> Reader<'a> {
             None => (t - self.last_s).clamp(0.0, 1.0),
         };
         self.last_s = t;
-        self.statistics.add(tick, period_s);
+        self.statistics.add(tick);
         self.mode(tick, period_s);
         self.spans(tick, period_s);
         self.plot(tick);
@@ -222,7 +222,7 @@ impl<'a> Reader<'a> {
             _ => self.modes.push(Mode {
                 from_s: tick.time_s,
                 to_s,
-                name: SupervisorState::from_wire(tick.supervisor).map_or("unknown", SupervisorState::text),
+                name: self.context.mode(tick.supervisor),
                 why: None,
                 tick: tick.header.tick,
                 supervisor: tick.supervisor,
@@ -293,7 +293,7 @@ impl<'a> Reader<'a> {
         for (key, (name, ns)) in (0..).zip(times).filter(|(_, (_, ns))| *ns > 0) {
             self.add(place, Chart::Time, key, ns as f64 * 1e-3, || name.into());
         }
-        if self.period_s.is_some() && !context.is_lockstep() {
+        if context.is_timed() {
             self.add(place, Chart::Missed, 0, tick.ticks_missed as f64, || "ticks left out".into());
         }
         self.add(place, Chart::Planner, 0, f64::from(tick.newton_iterations), || "Newton iterations".into());
@@ -369,9 +369,9 @@ impl<'a> Reader<'a> {
         if let (Some(least), Some(most)) = (arm["tension_n_min"].as_f64(), arm["tension_n_max"].as_f64()) {
             notes.insert(Chart::Tension, format!("Permitted: {least} N to {most} N, unless a segment has its own."));
         }
-        if let (Some(period_s), false) = (self.period_s, context.is_lockstep()) {
+        if let (Some(period_s), true) = (self.period_s, context.is_timed()) {
             notes.insert(Chart::Time, format!("The period is {} us.", 1e6 * period_s));
-        } else if context.is_lockstep() {
+        } else if context.is_loop() {
             notes.insert(Chart::Time, "In lockstep no tick is due at a time.".into());
         }
         let grid = self.grid;
