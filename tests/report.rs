@@ -173,9 +173,13 @@ fn the_page_tells_what_happened_and_why_and_loads_nothing() {
         (&Value::from("2,2"), 24)
     );
     let statistics = story["statistics"].to_string();
-    for part in
-        ["largest 33.00 mm", "12.3 mm, to obstacle 1 of source 7, at 4.56 s", "25.00 N to 77.50 N", "tracking 4.00 s"]
-    {
+    for part in [
+        "largest 33.00 mm",
+        "12.3 mm, to obstacle 1 of source 7, at 4.56 s",
+        "25.00 N to 77.50 N",
+        "tracking 4.00 s",
+        "median 700 us",
+    ] {
         assert!(statistics.contains(part), "{part} is not in {statistics}");
     }
     assert!(data["attachments"]["settings.json"].as_str().unwrap().contains("hole_angles_rad"));

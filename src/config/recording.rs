@@ -21,7 +21,7 @@ pub struct RecordingConfig {
 pub static RECORDING: TableSpec = TableSpec {
     header: "[recording]",
     name: "recording",
-    about: "How much of a disk `sinew run --record` may take. The paper's arm writes 1.2 GB an hour at 100 Hz, and 0.5 GB of pictures. No file is ever \
+    about: "How much of a disk `sinew run --record` may take. The paper's arm writes 1.2 GB an hour at 100 Hz, and 0.8 GB of pictures. No file is ever \
             replaced; where a folder is given, files are named by arm and start time.",
     keys: &[
         Key::default(

@@ -7,9 +7,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::{PI, TAU};
 
 /// Points of a ball, and of each end of a cylinder.
-const BALL: u32 = 48;
+const BALL: u32 = 32;
 /// See [`BALL`].
-const RIM: u32 = 10;
+const RIM: u32 = 6;
 /// Bytes of a point: three coordinates as `f32`, four of its colour.
 const STRIDE: u32 = 16;
 

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 
 /// Digits of a time's percentiles.
 const DIGITS: u8 = 3;
+/// Longer ones count as that long (ns).
+const MOST_NS: u64 = 100_000_000_000;
 
 /// Collected tick by tick.
 pub(super) struct Statistics {
@@ -49,8 +51,8 @@ impl Statistics {
             nearest: None,
             tension_n: (f64::INFINITY, f64::NEG_INFINITY),
             status: BTreeMap::new(),
-            cycle_ns: Histogram::new(DIGITS).ok(),
-            plan_ns: Histogram::new(DIGITS).ok(),
+            cycle_ns: Histogram::new_with_max(MOST_NS, DIGITS).ok(),
+            plan_ns: Histogram::new_with_max(MOST_NS, DIGITS).ok(),
         }
     }
 

@@ -9,6 +9,7 @@ use super::statistics::Statistics;
 use miette::IntoDiagnostic;
 use serde::Serialize;
 use sinew::control::Limit;
+use sinew::daemon::FIRST_SYNC;
 use sinew::daemon::words::{EventClass, event_in_words, fault_of, mode_cause};
 use sinew::ipc::payload::{SourceHealth, SupervisorState};
 use sinew::recording::{FileEnd, Happened, Severity, read_raw};
@@ -290,7 +291,9 @@ impl<'a> Reader<'a> {
         }
         let t = &tick.timing;
         let times = [("cycle", t.cycle_ns), ("plan", t.plan_ns), ("estimate", t.estimate_ns), ("wake-up", t.wakeup_ns)];
-        for (key, (name, ns)) in (0..).zip(times).filter(|(_, (_, ns))| *ns > 0) {
+        // In lockstep nothing wakes up at a time.
+        let shown = if context.is_timed() { times.len() } else { times.len() - 1 };
+        for (key, (name, ns)) in (0..).zip(times).take(shown).filter(|(_, (_, ns))| *ns > 0) {
             self.add(place, Chart::Time, key, ns as f64 * 1e-3, || name.into());
         }
         if context.is_timed() {
@@ -326,6 +329,8 @@ impl<'a> Reader<'a> {
                 return;
             }
             EventClass::LimitOff(_) => return,
+            // For those who lay two recordings beside each other.
+            EventClass::Other if event.code == FIRST_SYNC => return,
             // Ordinary work has its row, and may come with every tick.
             EventClass::LimitOn(_) if event_in_words(&event, &self.context.cables).0 == Severity::Info => return,
             _ => {}
