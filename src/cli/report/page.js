@@ -212,7 +212,8 @@
       scales: { x: { time: false, range: (u, from, to) => from === null ? all : [from, to] } },
       axes: [Object.assign({ values: (u, ticks) => ticks.map((t) => +t.toFixed(4) + " s") }, axis),
         Object.assign({ size: AXIS, values: (u, ticks) => ticks.map(short) }, axis)],
-      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { show: false },
+      // Others follow the pointer, and not what it selects: they would zoom within what was zoomed.
+      cursor: { sync: { key: "time", filters: { pub: (type) => type !== "mousedown" && type !== "mouseup" } }, drag: { x: true, y: false, setScale: false }, points: { show: false },
         bind: { mousedown: (u, target, handler) => (event) => {
           if (!event.shiftKey) return handler(event);
           event.preventDefault();
@@ -227,7 +228,8 @@
       hooks: {
         setSelect: [(u) => {
           const { left, width: wide } = u.select;
-          if (wide > 4) show(u.posToVal(left, "x"), u.posToVal(left + wide, "x"));
+          const at = (place) => range[0] + place / u.over.clientWidth * (range[1] - range[0]);
+          if (wide > 4) show(at(left), at(left + wide));
           u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
         }],
         setCursor: [(u) => {
@@ -242,8 +244,8 @@
     box.appendChild(legend);
     chart.over.addEventListener("wheel", (event) => {
       event.preventDefault();
-      const left = event.clientX - chart.over.getBoundingClientRect().left;
-      zoom(chart.posToVal(left, "x"), event.deltaY > 0 ? 1.25 : 0.8);
+      const box = chart.over.getBoundingClientRect();
+      zoom(range[0] + (event.clientX - box.left) / box.width * (range[1] - range[0]), event.deltaY > 0 ? 1.25 : 0.8);
     }, { passive: false });
     chart.setScale("x", { min: all[0], max: all[1] });
     followers.push(() => chart.setScale("x", { min: range[0], max: range[1] }));
