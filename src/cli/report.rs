@@ -15,6 +15,7 @@ use super::{Outcome, complain};
 use clap::Args;
 use context::Context;
 use miette::{IntoDiagnostic, WrapErr, miette};
+use sinew::recording::RecordingError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use story::Reader;
@@ -53,6 +54,11 @@ pub(super) fn write(recording: &Path, out: &Path) -> miette::Result<()> {
     written.into_diagnostic().wrap_err_with(|| format!("{} cannot be written", out.display()))
 }
 
+/// In a line: the error names its file and cause itself.
+fn told(error: RecordingError) -> miette::Report {
+    miette!("{error}")
+}
+
 /// How every report begins, behind its document type.
 const MARK: &str = "<meta name=\"generator\" content=\"sinew report\">";
 
@@ -73,9 +79,9 @@ pub(super) fn refuse_other(out: &Path) -> miette::Result<()> {
 
 /// The page of a recording: everything is in it, it loads nothing.
 fn page(recording: &Path) -> miette::Result<String> {
-    let told = || recording.display().to_string();
+    let name = || recording.display().to_string();
     let context = Context::read(recording)?;
-    let story = Reader::new(&context).read(recording).wrap_err_with(told)?;
+    let story = Reader::new(&context).read(recording).wrap_err_with(name)?;
     if story.modes.is_empty() {
         return Err(miette!("{}: there is no state in it", recording.display()));
     }
@@ -83,7 +89,7 @@ fn page(recording: &Path) -> miette::Result<String> {
     let title = format!("Arm {}{scenario}", context.arm());
     let data = serde_json::json!({
         "title": title,
-        "file": recording.file_name().map_or_else(told, |name| name.to_string_lossy().into_owned()),
+        "file": recording.file_name().map_or_else(name, |name| name.to_string_lossy().into_owned()),
         "software": context.software(),
         "facts": context.facts.metadata,
         "attachments": context.facts.attachments,

@@ -1,6 +1,6 @@
 //! What a recording says of its run: arm, names, settings, and its clock.
 
-use miette::IntoDiagnostic;
+use super::told;
 use serde_json::Value;
 use sinew::config::{CableNames, Config};
 use sinew::ipc::payload::SupervisorState;
@@ -17,7 +17,7 @@ pub(super) struct Context {
 
 impl Context {
     pub(super) fn read(path: &Path) -> miette::Result<Self> {
-        let facts = facts(path).into_diagnostic()?;
+        let facts = facts(path).map_err(told)?;
         let settings: Value =
             facts.attachments.get(SETTINGS).and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
         let holes = |segment: &Value| segment["hole_angles_rad"].as_array().map_or(0, Vec::len);
@@ -87,7 +87,7 @@ impl Context {
         let place = (obstacle_id as usize).wrapping_sub(1);
         let named = self.settings["obstacles"].get(place).and_then(|obstacle| obstacle["id"].as_str());
         match named.filter(|_| source_id == 0) {
-            Some(name) => name.to_owned(),
+            Some(name) => format!("obstacle {name}"),
             None => format!("obstacle {obstacle_id} of source {source_id}"),
         }
     }

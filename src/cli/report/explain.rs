@@ -3,9 +3,10 @@
 use super::clock::Clock;
 use super::context::Context;
 use super::record::Tick;
+use super::told;
 use crate::cli::{Outcome, print_text};
 use clap::Args;
-use miette::{IntoDiagnostic, miette};
+use miette::miette;
 use sinew::control::{Limit, Settings, likely_cause};
 use sinew::daemon::alarms;
 use sinew::daemon::status::fault_status;
@@ -36,7 +37,7 @@ impl Explain {
     pub(crate) fn run(self) -> miette::Result<Outcome> {
         let context = Context::read(&self.file)?;
         let clock = clock(&self.file)?;
-        let end_ns = last_ns(&self.file).into_diagnostic()?.unwrap_or(0);
+        let end_ns = last_ns(&self.file).map_err(told)?.unwrap_or(0);
         let end_s = clock.of_log(end_ns);
         let at_s = self.at.unwrap_or(end_s);
         // A time that is printed is rounded, and may lie just beyond.
@@ -50,14 +51,14 @@ impl Explain {
             tick = Some(message.decode()?);
             Ok(ControlFlow::Continue(()))
         })
-        .into_diagnostic()?;
+        .map_err(told)?;
         let tick = tick.ok_or_else(|| miette!("there is no state within 2 s before {at_s} s"))?;
         let mut events: Vec<Happened> = Vec::new();
         read_between(&self.file, &["events"], (0, until_ns), |message| {
             events.push(message.decode()?);
             Ok(ControlFlow::Continue(()))
         })
-        .into_diagnostic()?;
+        .map_err(told)?;
         print_text(&Told { context: &context, clock, tick: &tick, events: &events }.text())?;
         Ok(Outcome::Done)
     }
@@ -71,7 +72,7 @@ fn clock(path: &Path) -> miette::Result<Clock> {
         clock = Some(Clock::new(tick.time_s, tick.header.capture_ns, message.time_ns));
         Ok(ControlFlow::Break(()))
     });
-    read.into_diagnostic()?;
+    read.map_err(told)?;
     clock.ok_or_else(|| miette!("{}: there is no state in it", path.display()))
 }
 
@@ -156,6 +157,9 @@ impl Told<'_> {
     }
 
     fn requests(&self) -> Vec<String> {
+        if !self.context.is_loop() {
+            return Vec::new();
+        }
         let asked = |event: &&Happened| matches!(EventClass::of(event.code), EventClass::Request(_));
         let mut last: Vec<&Happened> = self.events.iter().rev().filter(asked).take(REQUESTS).collect();
         last.reverse();
@@ -229,12 +233,15 @@ impl Told<'_> {
         let t = self.tick;
         let status = PlannerStatus::from_wire(t.planner_status).map_or("unknown", PlannerStatus::text);
         let branch = PlannerBranch::from_wire(t.planner_branch).map_or("unknown", PlannerBranch::text);
-        vec![format!(
-            "{status}, branch {branch}, {} iterations; {:.0} us of {:.0} us in all, {} deadlines missed by ticks left out",
+        let mut lines = vec![format!(
+            "{status}, branch {branch}, {} iterations, {:.0} us",
             t.newton_iterations,
-            t.timing.plan_ns as f64 * 1e-3,
-            t.timing.cycle_ns as f64 * 1e-3,
-            t.ticks_missed
-        )]
+            t.timing.plan_ns as f64 * 1e-3
+        )];
+        if self.context.is_loop() {
+            let cycle_us = t.timing.cycle_ns as f64 * 1e-3;
+            lines.push(format!("the tick took {cycle_us:.0} us; {} ticks were left out so far", t.ticks_missed));
+        }
+        lines
     }
 }

@@ -6,7 +6,7 @@ use super::context::Context;
 use super::record::{Source, Tick};
 use super::spans::{Row, Rows};
 use super::statistics::Statistics;
-use miette::IntoDiagnostic;
+use super::told;
 use serde::Serialize;
 use sinew::control::Limit;
 use sinew::daemon::FIRST_SYNC;
@@ -193,7 +193,7 @@ impl<'a> Reader<'a> {
             }
             Ok(ControlFlow::Continue(()))
         });
-        let end = end.into_diagnostic()?;
+        let end = end.map_err(told)?;
         Ok(self.finish(end))
     }
 
