@@ -9,6 +9,7 @@ pub(crate) mod log;
 mod obstacles;
 mod plan;
 mod record;
+mod report;
 mod requests;
 mod run;
 mod scenario_client;
@@ -95,6 +96,10 @@ enum Command {
     Obstacles(obstacles::ObstaclesArguments),
     /// Run a scenario in closed loop against the simulated plant, every part a process of its own.
     Demo(demo::Demo),
+    /// Report a recording as a page: what was asked, what happened and why, plots, statistics, the configuration.
+    Report(report::Report),
+    /// Tell in words what an arm did at a time of a recording, and why.
+    Explain(report::Explain),
     /// A scenario's obstacles or task, as a client of a running daemon.
     #[command(hide = true)]
     Client(scenario_client::Client),
@@ -136,6 +141,8 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::ArmInfo(info) => info.run(),
         Command::Stability(stability) => stability.run(),
         Command::Demo(demo) => demo.run(),
+        Command::Report(report) => report.run(),
+        Command::Explain(explain) => explain.run(),
         Command::Client(client) => client.run(),
         Command::Leash(leash) => leash.run(),
         Command::Run(run) => run.run(),

@@ -1,11 +1,9 @@
 //! Reading by the index at a file's end: any time of a recording of any length, without the rest of it.
 
 use super::RecordingError;
-use super::reader::decode;
+use super::reader::{Decoders, RawMessage, open, summary};
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions};
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{McapError, Summary};
-use serde_json::Value;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::{ControlFlow, Range};
@@ -17,29 +15,7 @@ pub struct IndexedFile {
     path: PathBuf,
     file: File,
     summary: Summary,
-}
-
-/// A message that is not decoded yet.
-#[derive(Debug, Clone, Copy)]
-pub struct IndexedMessage<'a> {
-    /// Topic, e.g. `sinew/paper/state`.
-    pub topic: &'a str,
-    /// Time (ns).
-    pub time_ns: u64,
-    /// Its bytes.
-    pub data: &'a [u8],
-    schema: &'a [u8],
-}
-
-impl IndexedMessage<'_> {
-    /// Decodes it by the schema in the file; NaN and infinity are null.
-    ///
-    /// # Errors
-    /// It does not match its schema.
-    pub fn decode(&self) -> Result<Value, RecordingError> {
-        let told = |why| RecordingError::Message { topic: self.topic.to_owned(), why };
-        decode(&String::from_utf8_lossy(self.schema), self.data).map_err(told)
-    }
+    decoders: Decoders,
 }
 
 impl IndexedFile {
@@ -48,23 +24,10 @@ impl IndexedFile {
     /// # Errors
     /// The file cannot be read, is no recording, or has no index since it was cut short.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let told = |source| RecordingError::File { path: path.display().to_string(), source };
-        let mut file = File::open(path).map_err(told)?;
-        let mut reader = SummaryReader::new();
-        while let Some(event) = reader.next_event() {
-            let done = match event {
-                Ok(SummaryReadEvent::ReadRequest(need)) => {
-                    file.read(reader.insert(need)).map(|read| reader.notify_read(read))
-                }
-                Ok(SummaryReadEvent::SeekRequest(to)) => file.seek(to).map(|at| reader.notify_seeked(at)),
-                Err(_) => return Err(RecordingError::NoIndex { path: path.display().to_string() }),
-            };
-            done.map_err(told)?;
-        }
-        let summary = reader.finish().filter(|summary| !summary.chunk_indexes.is_empty());
+        let summary = summary(path)?;
         let mut summary = summary.ok_or_else(|| RecordingError::NoIndex { path: path.display().to_string() })?;
         summary.chunk_indexes.sort_by_key(|chunk| chunk.message_start_time);
-        Ok(Self { path: path.to_owned(), file, summary })
+        Ok(Self { path: path.to_owned(), file: open(path)?, summary, decoders: Decoders::default() })
     }
 
     /// Name of the arm, by its topics; `None` in a recording of something else.
@@ -103,7 +66,7 @@ impl IndexedFile {
         &mut self,
         topics: &[&str],
         range: Range<u64>,
-        mut take: impl FnMut(IndexedMessage<'_>) -> Result<ControlFlow<()>, RecordingError>,
+        mut take: impl FnMut(&RawMessage<'_>) -> Result<ControlFlow<()>, RecordingError>,
     ) -> Result<(), RecordingError> {
         let asked = |topic: &str| topics.iter().any(|name| topic.rsplit('/').next() == Some(name));
         let chunk_indexes = self.summary.chunk_indexes[self.chunks(&range)].to_vec();
@@ -124,9 +87,8 @@ impl IndexedFile {
                 IndexedReadEvent::Message { header, data } => {
                     let channel = part.channels.get(&header.channel_id);
                     let channel = channel.ok_or(McapError::UnknownChannel(header.sequence, header.channel_id))?;
-                    let schema = channel.schema.as_ref().map_or(&[] as &[u8], |schema| &schema.data);
-                    let message = IndexedMessage { topic: &channel.topic, time_ns: header.log_time, data, schema };
-                    if take(message)?.is_break() {
+                    let Some(decoder) = self.decoders.of(channel)? else { continue };
+                    if take(&RawMessage::new(&channel.topic, header.log_time, data, decoder))?.is_break() {
                         break;
                     }
                 }
@@ -138,16 +100,15 @@ impl IndexedFile {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Recording;
+    use super::super::{About, Recording};
     use super::*;
     use crate::ipc::payload::{Header, Obstacles, State};
-    use std::collections::BTreeMap;
 
     #[test]
     fn any_time_is_read_by_the_index_and_no_more_than_its_chunks() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("long.mcap");
-        let mut file = Recording::create(&path, "paper", &BTreeMap::new()).unwrap();
+        let mut file = Recording::create(&path, &About::new("paper")).unwrap();
         for tick in 0..30_000u64 {
             let header = Header { tick, ..Header::default() };
             file.state(1_000_000 * tick, &State { header, ..State::default() }).unwrap();
@@ -159,8 +120,8 @@ mod tests {
         let range = 20_000_000_000..20_003_000_000;
         assert!(file.bytes(&range) < 1_500_000, "{}", file.bytes(&range));
         let mut seen = Vec::new();
-        let mut take = |message: IndexedMessage<'_>| {
-            let value = message.decode()?;
+        let mut take = |message: &RawMessage<'_>| {
+            let value: serde_json::Value = message.decode()?;
             seen.push((message.topic.to_owned(), value["header"]["tick"].as_u64().unwrap()));
             Ok(ControlFlow::Continue(()))
         };
@@ -168,7 +129,7 @@ mod tests {
         let of = |topic: &str, tick: u64| (format!("sinew/paper/{topic}"), tick);
         assert_eq!(seen, [of("state", 20_000), of("state", 20_001), of("state", 20_002)]);
         let mut count = 0;
-        let two = |_: IndexedMessage<'_>| {
+        let two = |_: &RawMessage<'_>| {
             count += 1;
             Ok(if count == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
         };
@@ -180,7 +141,7 @@ mod tests {
     fn a_file_without_an_index_is_told_as_such() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cut.mcap");
-        let mut file = Recording::create(&path, "paper", &BTreeMap::new()).unwrap();
+        let mut file = Recording::create(&path, &About::new("paper")).unwrap();
         (0..1000).for_each(|tick| file.state(1_000_000 * tick, &State::default()).unwrap());
         drop(file.finish().unwrap());
         let whole = std::fs::read(&path).unwrap();

@@ -10,7 +10,7 @@ use sinew::ipc::payload::{
     AlarmRecord, FLAG_LEAVING, Header, Obstacle, ObstacleDistance, ObstacleKind, Obstacles, REJECT_CAUSES,
     SourceReport, State, TickTiming,
 };
-use sinew::recording::{IndexedFile, IndexedMessage, RecordingError};
+use sinew::recording::{IndexedFile, RawMessage, RecordingError};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -41,7 +41,7 @@ impl Recorded {
         let mut file = IndexedFile::open(path)?;
         let mut origin = None;
         file.between(&["state"], 0..u64::MAX, |message| {
-            origin = Some((message.time_ns, state(&message)?.time_s));
+            origin = Some((message.time_ns, state(message)?.time_s));
             Ok(ControlFlow::Break(()))
         })?;
         let nothing = || RecordingError::Message { topic: "state".into(), why: "there is none".into() };
@@ -103,7 +103,7 @@ impl Recorded {
             if !message.topic.ends_with("/state") {
                 // What is long before the record that is taken next says nothing of it.
                 if message.time_ns.saturating_add(BEFORE_NS) >= next {
-                    waiting.push(obstacles(&message)?);
+                    waiting.push(obstacles(message)?);
                     if waiting.len() > SETS {
                         take_over(&mut waiting, &mut sets);
                     }
@@ -115,7 +115,7 @@ impl Recorded {
             }
             next = next.saturating_add(step).max(message.time_ns.saturating_add(step / 2));
             take_over(&mut waiting, &mut sets);
-            let state = state(&message)?;
+            let state = state(message)?;
             let mut worst = Worst::default();
             worst.note(&state);
             frames.push(Frame::new(&state, &worst, &sets, names));
@@ -134,7 +134,7 @@ fn take_over(waiting: &mut Vec<Obstacles>, sets: &mut BTreeMap<u32, Obstacles>) 
     }
 }
 
-fn typed<T: for<'de> Deserialize<'de>>(message: &IndexedMessage<'_>) -> Result<T, RecordingError> {
+fn typed<T: for<'de> Deserialize<'de>>(message: &RawMessage<'_>) -> Result<T, RecordingError> {
     let told = |e: serde_json::Error| RecordingError::Message { topic: message.topic.to_owned(), why: e.to_string() };
     serde_json::from_value(message.decode()?).map_err(told)
 }
@@ -255,7 +255,7 @@ struct StateOf {
     alarms: Vec<AlarmOf>,
 }
 
-fn state(message: &IndexedMessage<'_>) -> Result<State, RecordingError> {
+fn state(message: &RawMessage<'_>) -> Result<State, RecordingError> {
     let r: StateOf = typed(message)?;
     let t = &r.timing;
     let mut s = State {
@@ -335,7 +335,7 @@ struct ObstaclesOf {
     obstacles: Vec<ObstacleOf>,
 }
 
-fn obstacles(message: &IndexedMessage<'_>) -> Result<Obstacles, RecordingError> {
+fn obstacles(message: &RawMessage<'_>) -> Result<Obstacles, RecordingError> {
     let r: ObstaclesOf = typed(message)?;
     let mut set = Obstacles { header: r.header.header(), flags: r.flags, ..Obstacles::default() };
     for o in r.obstacles {
@@ -356,12 +356,12 @@ fn obstacles(message: &IndexedMessage<'_>) -> Result<Obstacles, RecordingError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sinew::recording::Recording;
+    use sinew::recording::{About, Recording};
 
     /// 20 s at 1 kHz from 5 s after the loop's begin on, with a tip and an obstacle that move.
     fn recorded(folder: &Path) -> Recorded {
         let path = folder.join("run.mcap");
-        let mut file = Recording::create(&path, "paper", &BTreeMap::new()).unwrap();
+        let mut file = Recording::create(&path, &About::new("paper")).unwrap();
         for tick in 5_000..25_000u64 {
             let time_ns = 1_000_000 * tick;
             let (header, time_s) = (Header { tick, ..Header::new(0, tick, time_ns) }, 1e-3 * tick as f64);
