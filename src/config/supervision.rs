@@ -87,7 +87,7 @@ impl SupervisionConfig {
 
 /// Defaults: a speed over length and first angular frequency, a rate over that frequency, lengths over the arm's, a tension
 /// over the range of tensions.
-const TIP_SPEED: f64 = 0.4;
+const TIP_SPEED: f64 = 0.319;
 const BEND_RATE: f64 = 3.83;
 const SWING: f64 = 0.0085;
 const LENGTH_ERROR: f64 = 3e-4;
@@ -107,7 +107,7 @@ pub static SUPERVISION: TableSpec = TableSpec {
             "tip_speed_mps",
             LENGTH,
             "m/s",
-            "0.4 L omega",
+            "0.319 L omega",
             "Speed of the tip; the reference has `governor.speed_mps`, evasion and swinging come on top.",
         ),
         Key::default("tip_speed_answer", ANSWER, "", "\"stop\"", "The answer to more."),
