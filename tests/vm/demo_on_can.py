@@ -144,9 +144,10 @@ def judge_table(table, duration_s):
     arm.require(found, "the table has no least distance of ball 2")
     if duration_s >= BALL_NEAR_S:
         nearest_mm = float(found[1])
-        # The reference keeps 2 mm more than the clearance, and uses up half of what is left of a distance per second: at the end
-        # of this run the arm has not come nearer. Without avoidance it would be 0.09 m inside the ball soon after.
-        arm.require(nearest_mm < 2.0 * CLEARANCE_MM, f"the ball was never nearer than {nearest_mm} mm: nothing to avoid")
+        # The reference keeps 2 mm more than the clearance, and lets a slow ball take a quarter of what is left of a distance per
+        # second: at the end of this run the arm has not come nearer. Without avoidance it would be 0.09 m inside the ball soon
+        # after.
+        arm.require(nearest_mm < 2.5 * CLEARANCE_MM, f"the ball was never nearer than {nearest_mm} mm: nothing to avoid")
 
 
 def drives_file(buses, packed):
