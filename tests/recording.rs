@@ -4,8 +4,7 @@
 
 use sinew::ipc::payload::{Header, Obstacle, Obstacles, SourceReport, State, Target, TargetMode};
 use sinew::ipc::{Event, Tap};
-use sinew::recording::{Bounds, Recorder, Recording, read};
-use std::collections::BTreeMap;
+use sinew::recording::{About, Bounds, Recorder, Recording, read};
 use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::Ordering;
@@ -55,8 +54,8 @@ fn event() -> Event {
 }
 
 fn write(path: &Path, ticks: u64) {
-    let about = BTreeMap::from([("scenario".to_owned(), "tip".to_owned())]);
-    let mut recording = Recording::create(path, "paper", &about).unwrap();
+    let about = About::new("paper").with("scenario", "tip");
+    let mut recording = Recording::create(path, &about).unwrap();
     recording.obstacles(0, &obstacles()).unwrap();
     recording.target(0, &target()).unwrap();
     recording.event(0, &event()).unwrap();
@@ -132,7 +131,7 @@ fn a_file_cut_anywhere_stays_readable() {
 fn the_recorder_writes_what_passes_and_finishes_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let mut recorder = Recorder::start(&path, "paper", &BTreeMap::new(), 1_000).unwrap();
+    let mut recorder = Recorder::start(&path, &About::new("paper"), 1_000).unwrap();
     let dropped = recorder.dropped();
     for tick in 0..100 {
         recorder.state(&state(tick));
@@ -153,8 +152,8 @@ fn the_recorder_writes_what_passes_and_finishes_the_file() {
 fn a_recording_is_dealt_to_files_that_are_each_whole() {
     let folder = tempfile::tempdir().unwrap();
     let bounds = Bounds { file_bytes: 2 << 20, ..Bounds::NONE };
-    let about = BTreeMap::new();
-    let mut recorder = Recorder::start_within(folder.path(), "paper", &about, 0, bounds).unwrap().patient();
+    let about = About::new("paper");
+    let mut recorder = Recorder::start_within(folder.path(), &about, 0, bounds).unwrap().patient();
     // 2.8 kB a tick.
     const TICKS: u64 = 2000;
     (0..TICKS).for_each(|tick| recorder.state(&state(tick)));
@@ -176,7 +175,7 @@ fn a_recording_is_dealt_to_files_that_are_each_whole() {
 fn every_recording_tells_what_time_of_day_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    drop(Recorder::start(&path, "paper", &BTreeMap::new(), 0).unwrap());
+    drop(Recorder::start(&path, &About::new("paper"), 0).unwrap());
     let bytes = std::fs::read(&path).unwrap();
     let text = String::from_utf8_lossy(&bytes).into_owned();
     let offset_ns = sinew::recording::wall_clock_offset_ns();

@@ -11,8 +11,7 @@ use crate::config::Pace;
 use crate::rig::Rig;
 use sinew::ipc::Tap;
 use sinew::ipc::payload::{Header, MAX_NODES, State};
-use sinew::recording::{Recorder, RecordingError, wall_clock_offset_ns};
-use std::collections::BTreeMap;
+use sinew::recording::{About, Recorder, RecordingError, wall_clock_offset_ns};
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
@@ -33,14 +32,13 @@ impl Trace {
         if nodes > MAX_NODES {
             tracing::warn!(nodes, room = MAX_NODES, "the trace holds every {}-th node", State::stride_for(nodes));
         }
-        let about = BTreeMap::from([
-            ("writer".to_owned(), "sim_plant".to_owned()),
-            ("content".to_owned(), "true state of the simulated arm".to_owned()),
-            ("seed".to_owned(), seed.to_string()),
-        ]);
+        let about = About::new(arm)
+            .with("writer", "sim_plant")
+            .with("content", "true state of the simulated arm")
+            .with("seed", seed);
         let recorder = match pace {
-            Pace::Lockstep => Recorder::start(path, arm, &about, 0)?.patient(),
-            Pace::Realtime => Recorder::start(path, arm, &about, wall_clock_offset_ns())?,
+            Pace::Lockstep => Recorder::start(path, &about, 0)?.patient(),
+            Pace::Realtime => Recorder::start(path, &about, wall_clock_offset_ns())?,
         };
         Ok(Self { recorder, state: Box::default(), sequence: 0 })
     }

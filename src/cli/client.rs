@@ -43,6 +43,11 @@ impl Which {
         Ok(Found { address: daemon::address(&config), domain: daemon::domain(&config), arm: config.ipc.arm })
     }
 
+    /// The daemon's configuration, where its files were given.
+    pub(crate) fn config(&self) -> miette::Result<Option<Config>> {
+        if self.config.is_empty() { Ok(None) } else { Ok(Some(Config::load(&self.config)?)) }
+    }
+
     /// The daemon, where its shared memory is another user's and this one is not root: then all goes over the socket.
     pub(crate) fn foreign(&self) -> miette::Result<Option<Found>> {
         let found = self.find()?;

@@ -11,7 +11,8 @@ mod setup;
 mod wire;
 
 use super::scenario_client::approach_s;
-use super::{Outcome, complain, print_json, print_text};
+use super::view::DEFAULT_PORT;
+use super::{Outcome, complain, print_json, print_text, report};
 use children::{Children, Ended};
 use clap::{Args, ValueEnum};
 use miette::{IntoDiagnostic, miette};
@@ -74,6 +75,12 @@ pub(crate) struct Demo {
     /// Keep configuration, recordings and logs in this directory.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
+    /// Serve a page that shows the run, as `sinew view` does, at this port of 127.0.0.1 (0: a free one), and say where.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_PORT)]
+    view: Option<u16>,
+    /// Report what happened as a page; it takes its times from the loop's beginning.
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
     /// Kill the obstacle client (SIGKILL) at this time of the scenario.
     #[arg(long, value_name = "S", value_parser = super::positive_seconds)]
     kill_obstacle_client_at: Option<f64>,
@@ -104,6 +111,8 @@ impl Demo {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
         }
+        // Not after all of the run.
+        self.report.as_deref().map_or(Ok(()), report::refuse_other)?;
         let mut setup = Setup::new(&self)?;
         let mut children = Children::new(&setup);
         let ended = self.go(&setup, &mut children, &stop);
@@ -117,6 +126,9 @@ impl Demo {
             // What ended the run comes first: a daemon that does not go is no reason to hide it.
             Err(error) if ending == Ending::Stopped => complain(format_args!("{error}")),
             other => other?,
+        }
+        if let Some(out) = &self.report {
+            report::write(&setup.records(), out)?;
         }
         let judged = judge::judge(&setup, self.fast)?;
         let summary = &judged.summary;
@@ -158,6 +170,9 @@ impl Demo {
         let begin = Instant::now();
         children.start_plant(setup, stop)?;
         children.start_daemon(setup)?;
+        if let Some(port) = self.view {
+            complain(format_args!("the arm is shown at {}", children.start_view(setup, port)?));
+        }
         // They wait for the daemon by themselves, and in lockstep its first tick waits for them.
         children.start_clients(setup)?;
         let mut client = loop {

@@ -9,11 +9,13 @@ pub(crate) mod log;
 mod obstacles;
 mod plan;
 mod record;
+mod report;
 mod requests;
 mod run;
 mod scenario_client;
 mod stability;
 mod status;
+mod view;
 
 use clap::{Parser, Subcommand};
 use miette::{IntoDiagnostic, WrapErr};
@@ -60,6 +62,8 @@ enum Command {
     Run(run::Run),
     /// Show a running daemon: mode, faults, times, buses, sources, rights.
     Status(status::Status),
+    /// Show a running arm, or a recording, in a browser: in 3D, with plots, alarms and sources. It reads only.
+    View(view::View),
     /// Bring the drives up and hold the pose.
     Arm(requests::Ask),
     /// Take the torque off the drives at once, in order.
@@ -92,6 +96,10 @@ enum Command {
     Obstacles(obstacles::ObstaclesArguments),
     /// Run a scenario in closed loop against the simulated plant, every part a process of its own.
     Demo(demo::Demo),
+    /// Report a recording as a page: what was asked, what happened and why, plots, statistics, the configuration.
+    Report(report::Report),
+    /// Tell in words what an arm did at a time of a recording, and why.
+    Explain(report::Explain),
     /// A scenario's obstacles or task, as a client of a running daemon.
     #[command(hide = true)]
     Client(scenario_client::Client),
@@ -133,10 +141,13 @@ pub(crate) fn run(arguments: Arguments) -> miette::Result<Outcome> {
         Command::ArmInfo(info) => info.run(),
         Command::Stability(stability) => stability.run(),
         Command::Demo(demo) => demo.run(),
+        Command::Report(report) => report.run(),
+        Command::Explain(explain) => explain.run(),
         Command::Client(client) => client.run(),
         Command::Leash(leash) => leash.run(),
         Command::Run(run) => run.run(),
         Command::Status(status) => status.run(),
+        Command::View(view) => view.run(),
         Command::Arm(ask) => ask.run(Word::Arm),
         Command::Disarm(ask) => ask.run(Word::Disarm),
         Command::Hold(ask) => ask.run(Word::Hold),

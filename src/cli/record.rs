@@ -4,14 +4,16 @@ use sinew::config::Task;
 use sinew::daemon::{plan_into, warning_branch};
 use sinew::ipc::payload::{MAX_CABLES, MAX_TRACKED, Obstacle, ObstacleDistance, Obstacles, State, Target, TargetMode};
 use sinew::planner::Goal;
-use sinew::recording::{Recording, RecordingError};
+use sinew::recording::{About, Recording, RecordingError, Viewer};
 use sinew::report::tip_error;
 use sinew::scenario::{Run, Step};
 use sinew_hal::clock::seconds_to_ns;
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
+
+/// Pictures for viewers a second; a plan has ten steps in one.
+const PICTURES_1PS: u32 = 30;
 
 /// Writes each step's planned state, its target and its obstacles.
 pub(crate) struct PlanRecording {
@@ -24,13 +26,18 @@ pub(crate) struct PlanRecording {
 impl PlanRecording {
     pub(crate) fn create(path: &Path, run: &Run) -> Result<Self, RecordingError> {
         let scenario = run.course().scenario();
-        let about = BTreeMap::from([
-            ("scenario".to_owned(), scenario.name.clone()),
-            ("seed".to_owned(), run.seed().to_string()),
-            ("warning".to_owned(), format!("{:?}", run.planner().config().warning)),
-        ]);
+        let mut viewer = Viewer::new(&scenario.arm, PICTURES_1PS);
+        for (k, obstacle) in scenario.obstacles.iter().enumerate() {
+            viewer = viewer.map(|viewer| viewer.naming(0, obstacle_id(k), &obstacle.id));
+        }
+        let about = About::new(&scenario.arm.name)
+            .with("scenario", &scenario.name)
+            .with("seed", run.seed())
+            .with("warning", format!("{:?}", run.planner().config().warning))
+            .set(scenario)
+            .shown(viewer);
         Ok(Self {
-            file: Recording::create(path, &scenario.arm.name, &about)?,
+            file: Recording::create(path, &about)?,
             state: Box::default(),
             obstacles: Box::default(),
             lengths: vec![0.0; scenario.arm.cable_count()],

@@ -72,6 +72,7 @@ impl Run {
         });
         let options = Options {
             lockstep,
+            configuration: self.record.is_some().then(|| one_text(&self.config)),
             record: self.record,
             seed: self.seed,
             auto: AutoRequests { arm: self.arm_on_start, track: self.track_on_start },
@@ -130,6 +131,13 @@ impl Run {
             }
         }
     }
+}
+
+/// Files with a table each, or several, as one that can be loaded again. They have just been read; one that is gone by now is
+/// left out.
+fn one_text(paths: &[PathBuf]) -> String {
+    let part = |path: &PathBuf| Some(format!("# {}\n{}\n", path.display(), std::fs::read_to_string(path).ok()?));
+    paths.iter().filter_map(part).collect()
 }
 
 /// A defect is worth a new start by the service manager, what a person must look at is not.

@@ -109,6 +109,18 @@ fn alarm(
     }
 }
 
+/// The alarms that a state by itself tells of, where `required` are the sources that must be there: those of sources, target
+/// and limits. What the daemon knows beside (drives, rights, the recording) is not among them; a fault has words of its own.
+pub fn of_state(state: &State, required: &[u32]) -> Vec<Alarm> {
+    let mut list = raised(&Seen { state: Some(state), required, ..Seen::default() });
+    let known = &state.alarms[..(state.alarm_count as usize).min(state.alarms.len())];
+    for alarm in &mut list {
+        let same = known.iter().find(|known| (known.code, known.subject) == (alarm.code, alarm.subject));
+        alarm.since_ns = same.map_or(alarm.since_ns, |known| known.since_ns);
+    }
+    list
+}
+
 const REAL_TIME: &str = "real time";
 const HOLDS: &str = "the arm holds, and may not track";
 

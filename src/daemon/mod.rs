@@ -38,6 +38,7 @@ mod link;
 mod obstacles;
 pub mod operator;
 mod reach;
+mod recorded;
 mod records;
 mod setup;
 mod statistics;
@@ -47,6 +48,7 @@ mod threads;
 mod tick;
 mod warm_up;
 mod watch;
+pub mod words;
 
 pub use bus_thread::ENCODER_SOURCE_ID;
 pub use deadlines::overran;
@@ -61,10 +63,7 @@ pub use tick::{AutoRequests, FIRST_SYNC, SPEED, limits};
 
 use crate::config::{Config, safe_hold_in_words};
 use crate::control::Settings;
-use crate::ipc::{
-    ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels, monotonic_ns,
-};
-use crate::recording::{Bounds, Recorder, wall_clock_offset_ns};
+use crate::ipc::{ChannelCapacity, Client, DaemonPorts, Domain, IoThread, IpcError, LockstepSources, Pace, channels};
 use bus_thread::BusThread;
 use link::{LoopTime, Progress, drives_link};
 use operator::{Address, Desk, OperatorSocket};
@@ -72,7 +71,6 @@ use sinew_hal::can::{CanBus, Filter};
 use sinew_hal::cia402::Master;
 use sinew_hal::realtime;
 use status::{Fixed, Shared, StatusServer, TickNotes};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -100,6 +98,8 @@ pub struct Options {
     pub lockstep: Option<LockstepOptions>,
     /// Recording of everything.
     pub record: Option<PathBuf>,
+    /// The text of the configuration's files, which a recording is given.
+    pub configuration: Option<String>,
     /// Seed of the planner's random numbers.
     pub seed: u64,
     /// What the loop asks for by itself.
@@ -246,16 +246,9 @@ impl Daemon {
         let (inputs, outputs, ends, direct) =
             channels(config.arm.cable_count(), segments, &declared, capacity(lockstep));
         let (pairs, placed) = obstacles::pairs(config.obstacles.capacity);
-        let recorder = match &options.record {
-            Some(path) => {
-                // In lockstep times are the loop's own, which no other clock knows.
-                let offset_ns = if lockstep { 0 } else { wall_clock_offset_ns() };
-                Some(Recorder::start_within(path, arm, &about(options), offset_ns, bounds(config))?)
-            }
-            None => None,
-        };
+        let recorder = recorded::start(config, options)?;
         recorder.iter().for_each(|r| shared.set_recorder(r.dropped()));
-        daemon.recording_failed = recorder.as_ref().map(Recorder::failed).unwrap_or_default();
+        daemon.recording_failed = recorder.as_ref().map(|r| r.failed()).unwrap_or_default();
         let (notes, after) = TickNotes::new(shared.clone());
         let taps = Taps { pairs, notes, recorder, cables: config.arm.cable_names() };
         let io = IoThread::new(ports, ends, limits(config, lockstep), taps);
@@ -511,23 +504,6 @@ fn settings(config: &Config, options: &Options) -> Result<Settings, DaemonError>
     }
     settings.start_tensions_n.clone_from(tensions);
     Ok(settings)
-}
-
-fn bounds(config: &Config) -> Bounds {
-    let recording = &config.recording;
-    Bounds {
-        file_bytes: recording.file_mib << 20,
-        total_bytes: recording.total_mib.map(|mib| mib << 20),
-        free_bytes: recording.free_mib << 20,
-    }
-}
-
-fn about(options: &Options) -> BTreeMap<String, String> {
-    BTreeMap::from([
-        ("seed".to_owned(), options.seed.to_string()),
-        ("lockstep".to_owned(), options.lockstep.is_some().to_string()),
-        ("began_ns".to_owned(), monotonic_ns().to_string()),
-    ])
 }
 
 /// A thread with a name and, above 0, a real-time priority, if it is granted: the control thread has said what is not.

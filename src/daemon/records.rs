@@ -109,7 +109,7 @@ pub fn reply(command: &Command, refusal: Option<Refusal>, mode: Mode, fault: Opt
 }
 
 /// An event on the wire. Codes: a fault has its own (below 100), a limit its own (from 100) and 100 more where it ends,
-/// modes begin at 300 (detail: cause), requests at 400 (detail: 1 if refused).
+/// modes begin at 300 (detail: cause), requests at 400 (detail: 1 if refused, then value and second: reason and its detail).
 pub fn event(event: &Event) -> crate::ipc::Event {
     let (mut flags, mut second) = (0, f64::NAN);
     let (code, detail, value, text) = match event.kind {
@@ -126,7 +126,11 @@ pub fn event(event: &Event) -> crate::ipc::Event {
         }
         EventKind::Request(answer) => {
             let kind = request_kind(answer.request);
-            (400 + kind.wire(), u32::from(answer.refusal.is_some()), 0.0, kind.text())
+            let mut reason = 0.0;
+            if let Some((why, detail)) = answer.refusal.map(refusal_reason) {
+                (reason, second) = (f64::from(why.wire()), f64::from(detail));
+            }
+            (400 + kind.wire(), u32::from(answer.refusal.is_some()), reason, kind.text())
         }
     };
     crate::ipc::Event { time_ns: event.now_ns, tick: event.tick, code, detail, flags, value, second, text }

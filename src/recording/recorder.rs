@@ -1,9 +1,11 @@
 //! Writing: directly (open-loop runs), or through a thread of its own (the daemon, the simulated plant).
 
 use super::RecordingError;
+use super::about::About;
 use super::cdr::{Fields, encode, encode_into, schema};
 use super::files::{Bounds, Files};
-use crate::ipc::payload::{Obstacles, SCHEMA_VERSION, State, Target};
+use super::viewer::{Shown, Topic};
+use crate::ipc::payload::{Obstacles, State, Target};
 use crate::ipc::{Event, Tap, service_name};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
@@ -15,12 +17,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A chunk is written when it has this many bytes.
 const CHUNK_BYTES: u64 = 256 * 1024;
-/// Or when it spans this much recorded time (ns): what a crash can cost.
-const FLUSH_NS: u64 = 1_000_000_000;
+/// Or when it spans this much recorded time (ns), or that much has passed on the clock: half of what a crash may cost.
+const FLUSH_NS: u64 = 500_000_000;
 /// Messages that may wait for the disk: two seconds of a loop at 1 kHz.
 const QUEUE: usize = 2048;
 /// Bytes that a buffer of the queue begins with: the record of a tick of the paper's arm fits.
@@ -40,12 +42,19 @@ enum Channel {
     Events,
 }
 
+/// Number of sinew's own channels; those for viewers follow.
+const OWN_CHANNELS: usize = 4;
+
 /// A recording that is written in place.
 pub struct Recording<W: Write + Seek = BufWriter<File>> {
     writer: Writer<W>,
-    channels: [u16; 4],
-    sequences: [u32; 4],
+    channels: Vec<u16>,
+    sequences: Vec<u32>,
+    shown: Option<Box<Shown>>,
     flushed_ns: Option<u64>,
+    flushed: Instant,
+    /// Whether messages were written since.
+    open: bool,
     /// Bytes of messages written, their headers counted roughly.
     bytes: u64,
 }
@@ -54,12 +63,12 @@ pub struct Recording<W: Write + Seek = BufWriter<File>> {
 const HEADER_BYTES: u64 = 40;
 
 impl Recording {
-    /// Creates a file that was not there, with what the reader should know about the run (scenario, seed, versions).
+    /// Creates a file that was not there, with what the reader should know about the run.
     ///
     /// # Errors
     /// The file is there, or cannot be created or written.
-    pub fn create(path: &Path, arm: &str, about: &BTreeMap<String, String>) -> Result<Self, RecordingError> {
-        Self::new(BufWriter::new(super::files::make(path)?), arm, about)
+    pub fn create(path: &Path, about: &About) -> Result<Self, RecordingError> {
+        Self::new(BufWriter::new(super::files::make(path)?), about)
     }
 }
 
@@ -68,7 +77,7 @@ impl<W: Write + Seek> Recording<W> {
     ///
     /// # Errors
     /// The target cannot be written.
-    pub fn new(target: W, arm: &str, about: &BTreeMap<String, String>) -> Result<Self, RecordingError> {
+    pub fn new(target: W, about: &About) -> Result<Self, RecordingError> {
         let options = WriteOptions::new()
             .library(concat!("sinew ", env!("CARGO_PKG_VERSION")))
             .compression(None)
@@ -76,18 +85,43 @@ impl<W: Write + Seek> Recording<W> {
             // Chunks reach the file whole, never with a length that is filled in later.
             .disable_seeking(true);
         let mut writer = options.create(target)?;
-        let mut metadata = about.clone();
-        metadata.insert("arm".into(), arm.into());
-        metadata.insert("schema_version".into(), SCHEMA_VERSION.to_string());
-        metadata.insert("sinew_version".into(), env!("CARGO_PKG_VERSION").into());
-        writer.write_metadata(&Metadata { name: "sinew".into(), metadata })?;
-        let channels = [
+        writer.write_metadata(&Metadata { name: "sinew".into(), metadata: about.metadata.clone() })?;
+        for attachment in about.attachments() {
+            writer.attach(&attachment)?;
+        }
+        let arm = &about.arm;
+        let mut channels = vec![
             add::<State, W>(&mut writer, &service_name(arm, "state"))?,
             add::<Obstacles, W>(&mut writer, &service_name(arm, "obstacles"))?,
             add::<Target, W>(&mut writer, &service_name(arm, "target"))?,
             add::<Event, W>(&mut writer, &service_name(arm, "events"))?,
         ];
-        Ok(Self { writer, channels, sequences: [0; 4], flushed_ns: None, bytes: 0 })
+        let mut shown = None;
+        if let Some(viewer) = &about.viewer {
+            for topic in Topic::ALL {
+                let name = service_name(arm, topic.name());
+                let (schema, encoding) = match topic.schema() {
+                    Some(s) => (writer.add_schema(&s.name, &s.encoding, &s.data)?, "protobuf"),
+                    None => (0, ""),
+                };
+                channels.push(writer.add_channel(schema, &name, encoding, &BTreeMap::new())?);
+            }
+            let told = |why| RecordingError::Message { topic: service_name(arm, Topic::Scene.name()), why };
+            shown = Some(Box::new(Shown::new(viewer.clone()).map_err(told)?));
+        }
+        // What stands before the messages is there at once.
+        writer.flush()?;
+        let sequences = vec![0; channels.len()];
+        Ok(Self {
+            writer,
+            channels,
+            sequences,
+            shown,
+            flushed_ns: None,
+            flushed: Instant::now(),
+            open: false,
+            bytes: 0,
+        })
     }
 
     /// Writes a tick's record at a time (ns) of the reader's choice of clock, the same for all messages.
@@ -123,7 +157,16 @@ impl<W: Write + Seek> Recording<W> {
     }
 
     fn write(&mut self, channel: Channel, time_ns: u64, data: &[u8]) -> Result<(), RecordingError> {
-        let index = channel as usize;
+        self.put(channel as usize, time_ns, data)?;
+        self.show(channel, time_ns, data)?;
+        if time_ns.saturating_sub(*self.flushed_ns.get_or_insert(time_ns)) >= FLUSH_NS {
+            self.flush()?;
+            self.flushed_ns = Some(time_ns);
+        }
+        Ok(())
+    }
+
+    fn put(&mut self, index: usize, time_ns: u64, data: &[u8]) -> Result<(), RecordingError> {
         let header = MessageHeader {
             channel_id: self.channels[index],
             sequence: self.sequences[index],
@@ -132,12 +175,37 @@ impl<W: Write + Seek> Recording<W> {
         };
         self.sequences[index] = self.sequences[index].wrapping_add(1);
         self.bytes += data.len() as u64 + HEADER_BYTES;
-        self.writer.write_to_known_channel(&header, data)?;
-        if time_ns.saturating_sub(*self.flushed_ns.get_or_insert(time_ns)) >= FLUSH_NS {
-            self.flushed_ns = Some(time_ns);
-            self.writer.flush()?;
+        self.open = true;
+        Ok(self.writer.write_to_known_channel(&header, data)?)
+    }
+
+    /// Writes what a message shows to viewers.
+    fn show(&mut self, channel: Channel, time_ns: u64, data: &[u8]) -> Result<(), RecordingError> {
+        let Some(shown) = &mut self.shown else { return Ok(()) };
+        let made = match channel {
+            Channel::State => shown.state(time_ns, data),
+            Channel::Events => shown.event(time_ns, data).map(|made| made.into_iter().collect()),
+            Channel::Obstacles => {
+                shown.obstacles(data);
+                return Ok(());
+            }
+            Channel::Target => return Ok(()),
+        };
+        let told = |why| RecordingError::Message { topic: Topic::Scene.name().into(), why };
+        for (topic, data) in made.map_err(told)? {
+            self.put(OWN_CHANNELS + topic as usize, time_ns, &data)?;
         }
         Ok(())
+    }
+
+    fn flush(&mut self) -> Result<(), RecordingError> {
+        (self.flushed, self.open) = (Instant::now(), false);
+        Ok(self.writer.flush()?)
+    }
+
+    /// Writes what has waited for long, also where no further message comes.
+    fn flush_in_time(&mut self) -> Result<(), RecordingError> {
+        if self.open && self.flushed.elapsed() >= Duration::from_nanos(FLUSH_NS) { self.flush() } else { Ok(()) }
     }
 
     /// Writes index and summary, and gives the target back.
@@ -198,39 +266,29 @@ impl Recorder {
     ///
     /// # Errors
     /// The file is there, or cannot be created or written, or the thread cannot be started.
-    pub fn start(
-        path: &Path,
-        arm: &str,
-        about: &BTreeMap<String, String>,
-        offset_ns: u64,
-    ) -> Result<Self, RecordingError> {
-        Self::start_within(path, arm, about, offset_ns, Bounds::NONE)
+    pub fn start(path: &Path, about: &About, offset_ns: u64) -> Result<Self, RecordingError> {
+        Self::start_within(path, about, offset_ns, Bounds::NONE)
     }
 
     /// The same within bounds: one file after the other, in a folder by start time where `path` is one.
     ///
     /// # Errors
     /// As [`Self::start`]; less of the disk is free than is to stay so.
-    pub fn start_within(
-        path: &Path,
-        arm: &str,
-        about: &BTreeMap<String, String>,
-        offset_ns: u64,
-        bounds: Bounds,
-    ) -> Result<Self, RecordingError> {
-        let (mut about, arm) = (about.clone(), arm.to_owned());
-        about.insert("monotonic_offset_ns".into(), offset_ns.to_string());
-        about.insert("wall_clock_offset_ns".into(), super::wall_clock_offset_ns().to_string());
-        let mut files = Files::new(path, &arm, bounds);
+    pub fn start_within(path: &Path, about: &About, offset_ns: u64, bounds: Bounds) -> Result<Self, RecordingError> {
+        let about = about
+            .clone()
+            .with("monotonic_offset_ns", offset_ns)
+            .with("wall_clock_offset_ns", super::wall_clock_offset_ns());
+        let mut files = Files::new(path, &about.arm, bounds);
         files.check_room()?;
-        let first = Recording::new(BufWriter::new(files.next()?), &arm, &about)?;
+        let first = Recording::new(BufWriter::new(files.next()?), &about)?;
         let failed = |source| RecordingError::File { path: path.display().to_string(), source };
         let next = move |bytes| {
             files.check_room()?;
             if !files.is_full(bytes) {
                 return Ok(None);
             }
-            Recording::new(BufWriter::new(files.next()?), &arm, &about).map(Some)
+            Recording::new(BufWriter::new(files.next()?), &about).map(Some)
         };
         Self::hand_over(first, Box::new(next), offset_ns).map_err(failed)
     }
@@ -352,6 +410,7 @@ fn write_all<W: Write + Seek>(
             if closed {
                 return Ok(());
             }
+            recording.iter_mut().try_for_each(Recording::flush_in_time)?;
             std::thread::sleep(LOOK);
         }
     };
@@ -435,7 +494,7 @@ mod tests {
     fn recorder(room: usize) -> (Recorder, SyncSender<()>, Receiver<Vec<u8>>) {
         let ((key, gate), (done, bytes)) = (sync_channel(1), sync_channel(1));
         let disk = Disk { gate: Some(gate), room, written: Cursor::default(), done };
-        let recording = Recording::new(disk, "paper", &BTreeMap::new()).unwrap();
+        let recording = Recording::new(disk, &About::new("paper")).unwrap();
         (Recorder::hand_over(recording, Box::new(|_| Ok(None)), 0).unwrap(), key, bytes)
     }
 

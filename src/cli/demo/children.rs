@@ -12,7 +12,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -46,8 +46,9 @@ const PLANT: &str = "plant";
 const DAEMON: &str = "daemon";
 const OBSTACLES: &str = "obstacle client";
 const TASK: &str = "task client";
+const VIEW: &str = "view";
 /// The daemon first: it disables the drives while clients and plant still live.
-const ORDER_OF_STOP: [&str; 4] = [DAEMON, OBSTACLES, TASK, PLANT];
+const ORDER_OF_STOP: [&str; 5] = [DAEMON, OBSTACLES, TASK, PLANT, VIEW];
 
 impl Children {
     pub(super) fn new(setup: &Setup) -> Self {
@@ -57,20 +58,12 @@ impl Children {
     /// Starts the plant and waits until its drives are on the bus.
     pub(super) fn start_plant(&mut self, setup: &Setup, stop: &AtomicBool) -> miette::Result<()> {
         let stdout = self.spawn(setup, PLANT, &setup.plant, &setup.plant_arguments(), Stdio::piped())?;
-        let (said, heard) = mpsc::channel();
-        if let Some(stdout) = stdout {
-            // Ends with the line, or with the plant.
-            std::thread::spawn(move || {
-                let mut line = String::new();
-                let read = BufReader::new(stdout).read_line(&mut line);
-                let _ = said.send(read.is_ok() && !line.is_empty());
-            });
-        }
+        let heard = first_line(stdout);
         let deadline = Instant::now() + PLANT_START;
         while Instant::now() < deadline && !stop.load(Ordering::Relaxed) {
             match heard.recv_timeout(LOOK) {
-                Ok(true) => return Ok(()),
-                Ok(false) | Err(mpsc::RecvTimeoutError::Disconnected) => {
+                Ok(_) => return Ok(()),
+                Err(mpsc::RecvTimeoutError::Disconnected) => {
                     // It has closed its output, so it is ending: its code says why.
                     std::thread::sleep(LOOK);
                     self.check()?;
@@ -85,6 +78,18 @@ impl Children {
         self.spawn(setup, DAEMON, &setup.sinew, &setup.daemon_arguments(), Stdio::null()).map(drop)
     }
 
+    /// Starts the page; its address.
+    pub(super) fn start_view(&mut self, setup: &Setup, port: u16) -> miette::Result<String> {
+        let stdout = self.spawn(setup, VIEW, &setup.sinew, &setup.view_arguments(port), Stdio::piped())?;
+        match first_line(stdout).recv_timeout(STOP) {
+            Ok(line) => Ok(line.trim_end().to_owned()),
+            Err(_) => {
+                let said = self.running.last().map(|view| tail(&view.log)).unwrap_or_default();
+                Err(miette!("--view: the page is not served\n{said}"))
+            }
+        }
+    }
+
     pub(super) fn start_clients(&mut self, setup: &Setup) -> miette::Result<()> {
         self.spawn(setup, OBSTACLES, &setup.sinew, &setup.client_arguments("obstacles"), Stdio::null())?;
         self.spawn(setup, TASK, &setup.sinew, &setup.client_arguments("task"), Stdio::null()).map(drop)
@@ -97,7 +102,7 @@ impl Children {
         program: &std::path::Path,
         arguments: &[String],
         stdout: Stdio,
-    ) -> miette::Result<Option<std::process::ChildStdout>> {
+    ) -> miette::Result<Option<ChildStdout>> {
         let log = self.folder.join(format!("{}.log", name.replace(' ', "-")));
         let file = File::create(&log).into_diagnostic()?;
         let mut child = Command::new(&setup.sinew)
@@ -121,7 +126,8 @@ impl Children {
 
     /// That all live.
     pub(super) fn check(&mut self) -> miette::Result<()> {
-        for running in &mut self.running {
+        // A run does not need anybody who looks at it.
+        for running in self.running.iter_mut().filter(|running| running.name != VIEW) {
             if let Some(status) = running.child.try_wait().into_diagnostic()? {
                 return Err(Ended { name: running.name, status, tail: tail(&running.log) }.report());
             }
@@ -157,6 +163,21 @@ impl Children {
         }
         Err(miette!("{}; logs in {}", unclean.join("; "), setup.folder().display()))
     }
+}
+
+/// The first line that a program says; nothing comes where it ends before.
+fn first_line(stdout: Option<ChildStdout>) -> mpsc::Receiver<String> {
+    let (said, heard) = mpsc::channel();
+    if let Some(stdout) = stdout {
+        // Ends with the line, or with the program.
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            if BufReader::new(stdout).read_line(&mut line).is_ok() && !line.is_empty() {
+                let _ = said.send(line);
+            }
+        });
+    }
+    heard
 }
 
 fn stop(running: &mut Running, patience: Duration) -> Result<(), String> {

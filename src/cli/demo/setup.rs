@@ -159,6 +159,10 @@ impl Setup {
         arguments
     }
 
+    pub(super) fn view_arguments(&self, port: u16) -> Vec<String> {
+        strings(&["view", "--config", &self.path("demo.toml"), "--port", &port.to_string()])
+    }
+
     pub(super) fn client_arguments(&self, role: &str) -> Vec<String> {
         let source = if role == "task" { TASK_SOURCE } else { OBSTACLE_SOURCE };
         let mut arguments = strings(&["client", role, "--scenario", &self.scenario_argument]);
