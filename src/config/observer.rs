@@ -67,7 +67,7 @@ pub static OBSERVER: TableSpec = TableSpec {
             "damping_s",
             Kind::Float(Range::above(0.0, 1e3)),
             "s",
-            "1.57 / omega",
+            "1.18 / omega",
             "Damper over spring, D/K.",
         ),
         Key::optional(
@@ -88,7 +88,7 @@ pub static OBSERVER: TableSpec = TableSpec {
             "model_damping_ratio",
             Kind::Float(Range::closed(1.0, 100.0)),
             "",
-            "5 % damping of the first mode, 1 to 10",
+            "5 % damping of the first mode, 1 to 5",
             "Damping of the observer's model over the arm's: cables do not see torsion, and an error of it would swing on.",
         ),
         Key::default(
@@ -194,7 +194,7 @@ pub static OBSERVER: TableSpec = TableSpec {
 
 /// Times over the inverse of the first angular frequency: damper over spring, its filter, the disturbance's estimate,
 /// settling; and the rate at which it has settled, over the frequency.
-const DAMPING: f64 = 1.57;
+const DAMPING: f64 = 1.18;
 const FILTER: f64 = 0.078;
 const DISTURBANCE: f64 = 0.78;
 const SETTLE: f64 = 0.39;
@@ -202,26 +202,42 @@ const SETTLE_S: (f64, f64) = (0.1, 5.0);
 const SETTLE_RATE: f64 = 0.0128;
 /// Damping ratio of the first mode in the observer's model, and the range of its damping over the arm's.
 const MODEL_DAMPING: f64 = 0.049;
-const MODEL_DAMPING_RATIO: (f64, f64) = (1.0, 10.0);
+const MODEL_DAMPING_RATIO: (f64, f64) = (1.0, 5.0);
 /// Time-out of settling over the decay time of the first mode, and its range (s).
 const TIMEOUT: f64 = 0.31;
 const TIMEOUT_S: (f64, f64) = (20.0, 600.0);
 
+/// Rate (1/s) at which the first mode decays, to which all segments contribute.
+fn first_decay(arm: &ArmConfig, scale: &Scale) -> f64 {
+    let beta = arm.segments.iter().map(|s| s.damping_stiffness_s * s.length_m).sum::<f64>() / scale.length_m;
+    0.5 * (beta * scale.omega_radps * scale.omega_radps + arm.damping_mass_1ps)
+}
+
+impl ObserverConfig {
+    /// `model_damping_ratio` of an arm whose configuration has none: what gives the first mode 5 % of critical damping, and
+    /// no more than five times the arm's: with ten, an arm that has a 25th of the damping that its file says diverges.
+    pub fn default_model_damping_ratio(arm: &ArmConfig) -> f64 {
+        model_damping_ratio(arm, &Scale::of(arm))
+    }
+}
+
+fn model_damping_ratio(arm: &ArmConfig, scale: &Scale) -> f64 {
+    clamp(MODEL_DAMPING * scale.omega_radps / first_decay(arm, scale), MODEL_DAMPING_RATIO)
+}
+
+fn clamp(x: f64, (low, high): (f64, f64)) -> f64 {
+    x.clamp(low, high)
+}
+
 /// Reads `[observer]` for an arm.
 pub(super) fn read(table: &Section<'_>, arm: &ArmConfig, scale: &Scale) -> ObserverConfig {
-    // Of the first mode, to which all segments contribute.
-    let beta = arm.segments.iter().map(|s| s.damping_stiffness_s * s.length_m).sum::<f64>() / scale.length_m;
-    let decay = 0.5 * (beta * scale.omega_radps * scale.omega_radps + arm.damping_mass_1ps);
-    let ratio = decay / scale.omega_radps;
-    let clamp = |x: f64, (low, high): (f64, f64)| x.clamp(low, high);
+    let decay = first_decay(arm, scale);
     let config = ObserverConfig {
         stiffness_ratio: table.float("stiffness_ratio"),
         damping_s: table.float_opt("damping_s").unwrap_or(scale.time_s(DAMPING)),
         filter_time_s: table.float_opt("filter_time_s").unwrap_or(scale.time_s(FILTER)),
         disturbance_time_s: table.float_opt("disturbance_time_s").unwrap_or(scale.time_s(DISTURBANCE)),
-        model_damping_ratio: table
-            .float_opt("model_damping_ratio")
-            .unwrap_or(clamp(MODEL_DAMPING / ratio, MODEL_DAMPING_RATIO)),
+        model_damping_ratio: table.float_opt("model_damping_ratio").unwrap_or_else(|| model_damping_ratio(arm, scale)),
         rho_inf: table.float("rho_inf"),
         settle_innovation_rad: table.float("settle_innovation_rad"),
         settle_rate_radps: table.float_opt("settle_rate_radps").unwrap_or(SETTLE_RATE * scale.omega_radps),

@@ -130,12 +130,12 @@ pub fn read_between(
     let asked = |topic: &str| topics.iter().any(|name| topic.rsplit('/').next() == Some(name));
     match IndexedFile::open(path) {
         Ok(mut file) => file.between(topics, from_ns..until_ns, take).map(|()| FileEnd::Whole),
-        Err(RecordingError::NoIndex { .. }) => read_raw(path, |message| {
-            match asked(message.topic) && (from_ns..until_ns).contains(&message.time_ns) {
+        Err(RecordingError::NoIndex { .. }) => {
+            read_raw(path, |message| match asked(message.topic) && (from_ns..until_ns).contains(&message.time_ns) {
                 true => take(message),
                 false => Ok(ControlFlow::Continue(())),
-            }
-        }),
+            })
+        }
         Err(error) => Err(error),
     }
 }

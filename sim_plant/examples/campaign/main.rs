@@ -11,7 +11,7 @@ mod thrown;
 
 use clap::{Parser, Subcommand};
 use sim_plant::truth::TruthSettings;
-use sinew::config::{BUILTIN_FILES, Config};
+use sinew::config::{BUILTIN_FILES, Config, ObserverConfig};
 use std::path::PathBuf;
 
 #[derive(Parser)]
@@ -169,6 +169,7 @@ impl Args {
         }
         if let Some(beta) = self.beta {
             config.arm.segments.iter_mut().for_each(|s| s.damping_stiffness_s = beta);
+            config.observer.model_damping_ratio = ObserverConfig::default_model_damping_ratio(&config.arm);
         }
         config.friction.coefficient = self.compensation;
         config.observer.latency_ticks = self.latency;
