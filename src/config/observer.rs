@@ -60,14 +60,14 @@ pub static OBSERVER: TableSpec = TableSpec {
             "stiffness_ratio",
             Kind::Float(Range::above(0.0, 10.0)),
             "EI/L",
-            "2.0",
+            "1.75",
             "Spring K of the correction; 1 to 3 matches the arm's impedance, much more leaves torsion undamped.",
         ),
         Key::optional(
             "damping_s",
             Kind::Float(Range::above(0.0, 1e3)),
             "s",
-            "1.18 / omega",
+            "1.57 / omega",
             "Damper over spring, D/K.",
         ),
         Key::optional(
@@ -194,7 +194,7 @@ pub static OBSERVER: TableSpec = TableSpec {
 
 /// Times over the inverse of the first angular frequency: damper over spring, its filter, the disturbance's estimate,
 /// settling; and the rate at which it has settled, over the frequency.
-const DAMPING: f64 = 1.18;
+const DAMPING: f64 = 1.57;
 const FILTER: f64 = 0.078;
 const DISTURBANCE: f64 = 0.78;
 const SETTLE: f64 = 0.39;

@@ -27,19 +27,25 @@ pub fn summary_table(s: &Summary) -> String {
     let mut row = |name: &str, value: String| {
         t.add_row([name.to_owned(), value]);
     };
-    let count = |c: Option<Count>| c.map_or("-".into(), |c| format!("{:.2} mean, {} max", c.mean, c.max));
-    let time =
-        |p: Option<Percentiles>| p.map_or("-".into(), |p| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max));
+    let count = |c: Count| format!("{:.2} mean, {} max", c.mean, c.max);
+    let time = |p: Percentiles| format!("{:.0} / {:.0} / {:.0} us", p.p50, p.p99, p.max);
     row("steps", format!("{} of {} s, lookahead {} s, seed {}", s.ticks, s.period_s, s.lookahead_s, s.seed));
-    row("steps not converged", s.not_converged.map_or("-".into(), |n| n.to_string()));
+    // What a run has no value for is left out.
+    if let Some(n) = s.not_converged {
+        row("steps not converged", n.to_string());
+    }
     if let Some(n) = s.relaxed.filter(|n| *n > 0) {
         row("steps with distances relaxed", n.to_string());
     }
     if let Some(n) = s.truncated.filter(|n| *n > 0) {
         row("steps with pairs left out", n.to_string());
     }
-    row("Newton iterations, safe", count(s.newton.safe));
-    row("Newton iterations, warning", count(s.newton.warning));
+    if let Some(c) = s.newton.safe {
+        row("Newton iterations, safe", count(c));
+    }
+    if let Some(c) = s.newton.warning {
+        row("Newton iterations, warning", count(c));
+    }
     for o in &s.obstacles {
         row(
             &format!("{}: least surface distance, whole arm", o.id),
@@ -50,8 +56,9 @@ pub fn summary_table(s: &Summary) -> String {
             nearest(o.points.surface_distance_min_m, o.points.at_s, &o.points.inside_s),
         );
     }
-    let tensions = format!("{:.3} to {:.3} N", s.tension_n.min, s.tension_n.max);
-    row("tensions", if s.ticks > 0 { tensions } else { "-".into() });
+    if s.ticks > 0 {
+        row("tensions", format!("{:.3} to {:.3} N", s.tension_n.min, s.tension_n.max));
+    }
     for (cable, at) in &s.tension_n.saturated {
         row(&format!("cable {cable} at its bound"), format!("from {} s, {} steps", at.first_s, at.ticks));
     }
@@ -65,18 +72,25 @@ pub fn summary_table(s: &Summary) -> String {
     if let Some(k) = s.curvature_error_final_1pm {
         row("curvature error at the end", format!("{k:.4} 1/m"));
     }
-    row("time per step, safe (p50/p99/max)", time(s.time_us.safe));
-    row("time per step, warning (p50/p99/max)", time(s.time_us.warning));
+    if let Some(p) = s.time_us.safe {
+        row("time per step, safe (p50/p99/max)", time(p));
+    }
+    if let Some(p) = s.time_us.warning {
+        row("time per step, warning (p50/p99/max)", time(p));
+    }
     if let Some(swarm) = s.swarm {
-        let rate = swarm.evaluations_per_s.map_or("-".into(), |rate| format!("{:.2} million per second", rate / 1e6));
-        row("swarm evaluations", format!("{}, {rate} of the steps that searched", swarm.evaluations));
+        let rate = |rate| format!(", {:.2} million per second of the steps that searched", rate / 1e6);
+        row(
+            "swarm evaluations",
+            swarm.evaluations.to_string() + &swarm.evaluations_per_s.map_or_else(String::new, rate),
+        );
     }
     if let Some(cycle) = s.time_us.cycle {
-        row("whole cycle (p50/p99/max)", time(Some(cycle)));
+        row("whole cycle (p50/p99/max)", time(cycle));
     }
     if let Some(l) = &s.loop_ {
         row("deadlines missed", format!("{} ({} left out, {} overran)", l.missed, l.left_out, l.overran));
-        row("wake-up late (p50/p99/max)", l.wakeup_us.map_or("lockstep".into(), |p| time(Some(p))));
+        row("wake-up late (p50/p99/max)", l.wakeup_us.map_or("lockstep".into(), time));
     }
     row("faults", if s.faults.is_empty() { "none".into() } else { s.faults.join("; ") });
     t.to_string()
