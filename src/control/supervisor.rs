@@ -29,6 +29,8 @@
 //! | Homing | home reached; obstacles expired | -> Holding |
 //! | Tracking | the target is out of reach and refused (`governor.out_of_reach`) | -> Holding |
 //! | Tracking, Homing | the supervision asks to hold ([`super::supervision`]) | -> Holding |
+//! | Stopping from Starting, bent by its start tensions | observer settled | the way to the rest posture |
+//! | Stopping from Starting, bent by its start tensions | `settle_timeout_s` is over | fault as in Starting |
 //! | Stopping | rest posture reached, around obstacles as on any way | ramp to the safe tension, then drives off |
 //! | Stopping | ramp over, drives off, arm at rest | -> Disarmed |
 //! | Holding, Tracking, Homing | deadlines missed, see [`super::overruns`]: up to `overruns_hold`; above; `overruns_fault` | last tensions held for a tick; ramp to the safe tension, until five ticks in a row were in time; fault `Overruns` |
@@ -236,6 +238,8 @@ pub struct Observed {
     pub at_home: bool,
     /// Whether the rest posture is reached; looked at in [`Mode::Stopping`].
     pub lowered: bool,
+    /// Whether the start tensions hold the arm elsewhere than where it rests without; looked at in [`Mode::Starting`].
+    pub bent: bool,
     /// Whether the arm moves, as far as encoders and estimate tell.
     pub moves: bool,
     /// Deadlines missed since the tick before: ticks left out, and that tick itself if its torques left after its period.
@@ -305,6 +309,8 @@ pub struct Supervisor {
     arms_unknown: bool,
     /// Starting, Stopping: on the way to the start posture, to the rest posture.
     under_way: bool,
+    /// Stopping: the observer has to settle, for an arm that is not known cannot be led down.
+    settles: bool,
     /// A stop lowers the arm, and is over when it rests.
     lowers: bool,
     overruns: Overruns,
@@ -329,6 +335,7 @@ impl Supervisor {
             stays,
             arms_unknown,
             under_way: false,
+            settles: false,
             lowers: timing.stop_timeout_s > 0.0,
             overruns: Overruns::new(timing),
             held_by: Limits::default(),
@@ -347,6 +354,11 @@ impl Supervisor {
     /// Whether the planner runs: in modes that plan, and on the way to the start and the rest posture.
     pub const fn is_planning(&self) -> bool {
         self.mode.is_planning() || self.under_way
+    }
+
+    /// Whether a start goes on: as one, or because the arm has to be known before it is lowered.
+    pub fn is_starting(&self) -> bool {
+        self.mode == Mode::Starting || self.settles
     }
 
     /// Whether the arm is held after a fault.
@@ -375,7 +387,7 @@ impl Supervisor {
         self.find_faults(seen);
         let mut reset = false;
         // `progress` speaks of a start that was under way when the tick began.
-        let starting = self.mode == Mode::Starting;
+        let starting = self.is_starting();
         let answer = seen.request.map(|request| {
             let refusal = self.answer(request, seen, &mut reset).err();
             let answer = Answer { request, refusal };
@@ -435,7 +447,7 @@ impl Supervisor {
     fn change(&mut self, to: Mode, cause: Cause, tick: u64, now_ns: u64) {
         let from = std::mem::replace(&mut self.mode, to);
         self.entered_ns = now_ns;
-        self.under_way = false;
+        (self.under_way, self.settles) = (false, false);
         self.held_by = match cause {
             Cause::Limit(limit) => Limits(1 << limit as u32),
             _ => Limits::default(),
@@ -467,7 +479,7 @@ impl Supervisor {
         if self.is_planning() && seen.drives.phase != DrivesPhase::Enabled {
             raise(self, Fault::DrivesLost);
         }
-        if self.mode == Mode::Starting && seen.now_ns.saturating_sub(self.entered_ns) > self.settle_timeout_ns {
+        if self.is_starting() && seen.now_ns.saturating_sub(self.entered_ns) > self.settle_timeout_ns {
             let after_s = self.settle_timeout_ns as f64 * 1e-9;
             match seen.progress {
                 Progress::Done | Progress::Posture => {}
@@ -525,7 +537,7 @@ impl Supervisor {
                 Mode::Disarmed
             }
             (Mode::Faulted | Mode::Stopping, Request::Disarm) => {
-                (self.ramping, self.under_way, self.held) = (false, false, false);
+                (self.ramping, self.under_way, self.settles, self.held) = (false, false, false, false);
                 return Ok(());
             }
             (Mode::Faulted, Request::Stop) if self.held => {
@@ -548,8 +560,9 @@ impl Supervisor {
             (_, Request::Stop) => {
                 self.ramping = seen.drives.phase != DrivesPhase::Off;
                 let lowers = self.lowers && self.is_planning();
+                let settles = self.lowers && !lowers && seen.bent && seen.drives.phase == DrivesPhase::Enabled;
                 self.go(Mode::Stopping, Cause::Request(request), seen);
-                self.under_way = lowers;
+                (self.under_way, self.settles) = (lowers, settles);
                 return Ok(());
             }
             (_, Request::Arm)
@@ -585,6 +598,10 @@ impl Supervisor {
             Mode::Tracking if !seen.target_fresh => self.go(Mode::Holding, Cause::Limit(Limit::TargetStale), seen),
             Mode::Homing if expired => self.go(Mode::Holding, Cause::Limit(Limit::ObstaclesExpired), seen),
             Mode::Homing if seen.at_home => self.go(Mode::Holding, Cause::Done, seen),
+            Mode::Stopping if self.settles => {
+                self.under_way = starting && seen.progress == Progress::Done;
+                self.settles = !self.under_way;
+            }
             Mode::Stopping | Mode::Faulted if self.under_way => self.under_way = !seen.lowered,
             // A drive that is not heard may hold by itself, and is told the same when it hears again.
             Mode::Faulted if self.held => {
@@ -608,6 +625,7 @@ impl Supervisor {
         let plan = match self.mode {
             Mode::Disarmed => return (Action::Off, None),
             Mode::Starting if !self.under_way => return (Action::Tighten, None),
+            Mode::Stopping if self.settles => return (Action::Tighten, None),
             Mode::Starting => Action::Raise,
             Mode::Stopping | Mode::Faulted if self.under_way => Action::Lower,
             Mode::Faulted if self.held => return (Action::Stay, None),

@@ -31,6 +31,7 @@ fn well() -> Observed {
         at_safe_tension: false,
         at_home: false,
         lowered: true,
+        bent: false,
         moves: false,
         missed: 0,
     }
@@ -125,6 +126,28 @@ fn a_stop_lowers_the_arm_before_it_lets_go_and_tells_disarmed_only_of_one_at_res
         s.step(&Observed { request: Some(Request::Stop), progress: Progress::Settling, ..going }).action,
         Action::Ramp
     );
+}
+
+#[test]
+fn a_stop_of_an_arm_that_its_start_tensions_bend_lowers_it_once_it_is_known() {
+    let bent = Observed { bent: true, progress: Progress::Settling, lowered: false, ..well() };
+    let stopped = || {
+        let mut s = in_mode(Mode::Starting);
+        let decision = s.step(&Observed { request: Some(Request::Stop), ..bent });
+        assert_eq!((s.mode(), decision.action), (Mode::Stopping, Action::Tighten));
+        assert_eq!(s.step(&bent).action, Action::Tighten);
+        s
+    };
+    let mut s = stopped();
+    let known = Observed { progress: Progress::Done, ..bent };
+    assert_eq!((s.step(&known).action, s.mode()), (Action::Lower, Mode::Stopping));
+    assert_eq!(s.step(&Observed { lowered: true, ..known }).action, Action::Ramp);
+    // One that never becomes known is a fault, as in a start; one that is not to be waited for is let go of.
+    let mut s = stopped();
+    s.step(&Observed { now_ns: 100 * SECOND, ..bent });
+    assert!(matches!(s.latch().first.map(|l| l.fault), Some(Fault::NotSettled { .. })), "{:?}", s.latch().first);
+    let mut s = stopped();
+    assert_eq!(s.step(&Observed { request: Some(Request::Disarm), ..bent }).action, Action::Off);
 }
 
 #[test]

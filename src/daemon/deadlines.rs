@@ -163,6 +163,7 @@ mod tests {
             at_safe_tension: false,
             at_home: false,
             lowered: true,
+            bent: false,
             moves: false,
             missed,
         };

@@ -378,10 +378,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             None
         };
         // While the drives come up readings may be missing; the start waits for them.
-        let watch = match self.supervisor.mode() {
-            Mode::Disarmed | Mode::Starting => self.observing,
-            _ => true,
-        };
+        let rises = self.supervisor.mode() == Mode::Disarmed || self.supervisor.is_starting();
+        let watch = self.observing || !rises;
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         for (c, (along, drum)) in self.read_m.iter_mut().zip(inputs.encoders.lengths_m).enumerate() {
             *along = self.arm.along_arm(c, *drum, if torque { self.sent[c] } else { 0.0 });
@@ -407,7 +405,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
                     // Until it has settled the start's own transient is no fault; the time-out is.
-                    if self.supervisor.mode() != Mode::Starting || self.supervisor.is_planning() {
+                    if !self.supervisor.is_starting() || self.supervisor.is_planning() {
                         let (z, growth) = (estimate.innovation_max_rad, estimate.innovation_growth_rad);
                         if !z.is_finite() {
                             faults.push(Fault::EstimateLost);
@@ -423,7 +421,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         } else {
             self.elapsed.settle();
         }
-        if self.supervisor.mode() != Mode::Starting || !torque {
+        if !self.supervisor.is_starting() || !torque {
             return Progress::Drives;
         }
         if self.supervisor.is_planning() {
@@ -504,6 +502,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 .enumerate()
                 .all(|(i, (k, home))| length(i) * (k - home).abs() <= tolerance),
             lowered: self.governor.has_arrived(self.postures.rest()),
+            bent: self.postures.is_bent(),
             moves,
             missed: inputs.missed,
         }

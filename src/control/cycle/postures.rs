@@ -69,6 +69,11 @@ impl Postures {
         self.direct.map(|direct| if direct { &self.start_n[..] } else { &self.even_n[..] })
     }
 
+    /// Whether the start tensions are given at once, and hold the arm in another posture than the one it rests in.
+    pub(super) fn is_bent(&self) -> bool {
+        self.differs && self.direct == Some(true)
+    }
+
     /// Whether the start posture is still to be gone to once the cables are tight.
     pub(super) fn is_to_raise(&self) -> bool {
         self.direct == Some(false)

@@ -4,7 +4,6 @@ use super::{Cycle, Plan, TickInputs};
 use crate::control::NODES_MAX;
 use crate::control::estimator::Estimator;
 use crate::control::record::{Distance, Record};
-use crate::control::supervisor::Mode;
 use crate::control::target::Target;
 use crate::math::quaternion::rotation;
 
@@ -12,7 +11,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// Completes the record of the tick that was done with `inputs`. Does not allocate. For after sending.
     pub fn report(&mut self, inputs: &TickInputs<'_>) -> &Record {
         // Nobody is to take a swinging arm for a straight one.
-        let looks = !self.observing && self.supervisor.mode() != Mode::Starting;
+        let looks = !self.observing && !self.supervisor.is_starting();
         if looks && self.encoders.silent(inputs.now_ns).is_none() && self.estimator.look(self.encoders.lengths_m()) {
             self.measure_curvatures();
         }
