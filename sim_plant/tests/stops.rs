@@ -1,10 +1,11 @@
 //! A motion between obstacles that is cut off: what the true arm does. The long form is `examples/campaign stops`.
 #![allow(clippy::unwrap_used, clippy::expect_used)] // a test
 
+use sim_plant::bench::Bench;
 use sim_plant::stops::{Ending, Stopped, stop, trouble};
 use sim_plant::truth::TruthSettings;
 use sinew::config::{Config, SafeHold, ScenarioConfig};
-use sinew::control::Mode;
+use sinew::control::{Mode, Request};
 
 /// A run that ends 3 s after the beginning of the paper's curve.
 fn ended(ending: Ending, hold: SafeHold) -> Stopped {
@@ -58,4 +59,35 @@ fn a_stop_under_gravity_lets_go_of_an_arm_that_rests() {
     let shown = ended_at(1.3, Ending::Stop, SafeHold::Hold, 4.0, 60.0);
     assert!(shown.rest_s.is_some_and(|rest_s| rest_s < 45.0), "{shown:?}");
     assert!(shown.distance_m > 0.0 && shown.mode == Mode::Disarmed, "{shown:?}");
+}
+
+#[test]
+fn a_stop_while_the_arm_is_armed_in_a_bent_posture_leads_it_down() {
+    let config = Config::builtin();
+    let scenario = ScenarioConfig::find("tip").unwrap();
+    for after_ticks in [20, 60] {
+        let mut bench = Bench::at_start_of(&scenario, &config, &TruthSettings::study(1)).unwrap();
+        bench.insert(&scenario.obstacles).unwrap();
+        bench.place(&scenario.obstacles, 0.0, config.planner.lookahead_s).unwrap();
+        bench.step(Some(Request::Arm));
+        (0..after_ticks).for_each(|_| _ = bench.step(None));
+        assert_eq!(bench.cycle.mode(), Mode::Starting);
+        let mut before = bench.truth.tip().position;
+        let start = before;
+        let (mut fastest, mut moved, mut mode) = (0.0f64, 0.0f64, bench.step(Some(Request::Stop)).mode);
+        for _ in 0..8000 {
+            bench.place(&scenario.obstacles, 0.0, config.planner.lookahead_s).unwrap();
+            mode = bench.step(None).mode;
+            let tip = bench.truth.tip().position;
+            fastest = fastest.max((tip - before).norm() / config.timing.period_s);
+            moved = moved.max((tip - start).norm());
+            before = tip;
+            if mode == Mode::Disarmed {
+                break;
+            }
+        }
+        assert_eq!(mode, Mode::Disarmed, "after {after_ticks} ticks: {:?}", bench.cycle.supervisor().latch());
+        // It was let go of before, and sprang at more than 1 m/s.
+        assert!(fastest < 0.2 && moved > 0.3, "after {after_ticks} ticks: {fastest} m/s, {moved} m");
+    }
 }
