@@ -65,7 +65,7 @@ fn a_stop_under_gravity_lets_go_of_an_arm_that_rests() {
 fn a_stop_while_the_arm_is_armed_in_a_bent_posture_leads_it_down() {
     let config = Config::builtin();
     let scenario = ScenarioConfig::find("tip").unwrap();
-    for after_ticks in [20, 60] {
+    for after_ticks in [1, 20, 60] {
         let mut bench = Bench::at_start_of(&scenario, &config, &TruthSettings::study(1)).unwrap();
         bench.insert(&scenario.obstacles).unwrap();
         bench.place(&scenario.obstacles, 0.0, config.planner.lookahead_s).unwrap();
@@ -87,7 +87,7 @@ fn a_stop_while_the_arm_is_armed_in_a_bent_posture_leads_it_down() {
             }
         }
         assert_eq!(mode, Mode::Disarmed, "after {after_ticks} ticks: {:?}", bench.cycle.supervisor().latch());
-        // It was let go of before, and sprang at more than 1 m/s.
+        // Before, "disarmed" was told at once, and the arm sprang by more than a metre.
         assert!(fastest < 0.2 && moved > 0.3, "after {after_ticks} ticks: {fastest} m/s, {moved} m");
     }
 }
