@@ -134,11 +134,6 @@ fn take_over(waiting: &mut Vec<Obstacles>, sets: &mut BTreeMap<u32, Obstacles>) 
     }
 }
 
-fn typed<T: for<'de> Deserialize<'de>>(message: &RawMessage<'_>) -> Result<T, RecordingError> {
-    let told = |e: serde_json::Error| RecordingError::Message { topic: message.topic.to_owned(), why: e.to_string() };
-    serde_json::from_value(message.decode()?).map_err(told)
-}
-
 /// A number that may be none.
 type Maybe = Option<f64>;
 
@@ -256,7 +251,7 @@ struct StateOf {
 }
 
 fn state(message: &RawMessage<'_>) -> Result<State, RecordingError> {
-    let r: StateOf = typed(message)?;
+    let r: StateOf = message.decode()?;
     let t = &r.timing;
     let mut s = State {
         header: r.header.header(),
@@ -336,7 +331,7 @@ struct ObstaclesOf {
 }
 
 fn obstacles(message: &RawMessage<'_>) -> Result<Obstacles, RecordingError> {
-    let r: ObstaclesOf = typed(message)?;
+    let r: ObstaclesOf = message.decode()?;
     let mut set = Obstacles { header: r.header.header(), flags: r.flags, ..Obstacles::default() };
     for o in r.obstacles {
         let kind = ObstacleKind::from_wire(o.kind).unwrap_or(ObstacleKind::Ball);
