@@ -9,6 +9,9 @@ use serde_json::Value;
 /// Least width (columns) to which tables are fitted.
 const WIDTH_MIN: u16 = 40;
 
+/// What stands for no value.
+const NONE: &str = "-";
+
 /// An empty table with a header, in the style of all reports.
 pub fn plain_table(header: &[&str]) -> Table {
     let mut t = Table::new();
@@ -96,17 +99,15 @@ pub fn summary_table(s: &Summary) -> String {
     t.to_string()
 }
 
-/// The paper's and the reference's figures with ours beside them; empty without figures.
+/// The paper's and the reference's figures with ours beside them; empty where the run has none of them.
 pub fn figures_table(figures: &[PublishedFigure], summary: &Summary) -> String {
-    if figures.is_empty() {
-        return String::new();
-    }
     let json = serde_json::to_value(summary).unwrap_or(Value::Null);
     let mut t = plain_table(&["quantity", "paper", "reference", "this run"]);
-    for f in figures {
-        t.add_row([f.quantity.clone(), f.paper.clone(), f.reference.clone(), show(&json, &f.field)]);
+    // A loop counts no iterations: what a run has no value for is left out here, too.
+    for (f, shown) in figures.iter().map(|f| (f, show(&json, &f.field))).filter(|(_, shown)| shown != NONE) {
+        t.add_row([f.quantity.clone(), f.paper.clone(), f.reference.clone(), shown]);
     }
-    t.to_string()
+    if t.is_empty() { String::new() } else { t.to_string() }
 }
 
 /// Value(s) at the path(s) `field`, several separated by `, `.
@@ -119,7 +120,7 @@ fn show(json: &Value, field: &str) -> String {
         match value {
             Some(v @ Value::Number(_)) => format!("{}{}", short(v), unit(path)),
             Some(v @ Value::Array(a)) if !a.is_empty() => format!("{}{}", short(v), unit(path)),
-            other => other.map_or_else(|| "-".into(), short),
+            other => other.map_or_else(|| NONE.into(), short),
         }
     };
     field.split(',').map(|p| one(p.trim())).collect::<Vec<_>>().join("; ")
@@ -134,7 +135,7 @@ fn unit(path: &str) -> &'static str {
 
 fn short(v: &Value) -> String {
     match v {
-        Value::Null => "-".into(),
+        Value::Null => NONE.into(),
         Value::Number(n) if n.is_f64() => {
             let x = n.as_f64().unwrap_or(f64::NAN);
             if x != 0.0 && (x.abs() < 1e-2 || x.abs() >= 1e4) {
