@@ -18,7 +18,7 @@ pub struct FrictionConfig {
 
 impl FrictionConfig {
     /// No compensation.
-    pub const NONE: Self = Self { coefficient: 0.0, speed_mps: 2e-3, time_s: 0.05 };
+    pub const NONE: Self = Self { coefficient: 0.0, speed_mps: 3e-3, time_s: 0.05 };
 }
 
 /// `[friction]`.
@@ -38,7 +38,7 @@ pub static FRICTION: TableSpec = TableSpec {
             "speed_mps",
             Kind::Float(Range::closed(1e-7, 1.0)),
             "m/s",
-            "0.00073 L per second",
+            "0.0011 L per second",
             "Planned rate of a cable at which three quarters of the friction is made up for.",
         ),
         Key::default(
@@ -52,7 +52,7 @@ pub static FRICTION: TableSpec = TableSpec {
 };
 
 /// Planned rate of a cable at which most of the friction is made up for, over the arm's length (1/s).
-const SPEED_1PS: f64 = 0.002 / 2.75;
+const SPEED_1PS: f64 = 0.003 / 2.75;
 
 /// Reads `[friction]` for an arm.
 pub(super) fn read(table: &Section<'_>, scale: &Scale) -> FrictionConfig {

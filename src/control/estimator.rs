@@ -50,6 +50,9 @@ pub trait Estimator {
         false
     }
 
+    /// Takes over what friction leaves of the tensions at each passage, see [`crate::model::Arm::take_shares`].
+    fn take_shares(&mut self, _shares: &[f64]) {}
+
     /// The estimate at the time of the newest reading.
     fn state(&self) -> &State;
 
@@ -99,6 +102,10 @@ impl Estimator for Observer {
 
     fn look(&mut self, lengths_m: &[f64]) -> bool {
         Self::look(self, lengths_m)
+    }
+
+    fn take_shares(&mut self, shares: &[f64]) {
+        Self::take_shares(self, shares);
     }
 
     fn state(&self) -> &State {

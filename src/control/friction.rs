@@ -1,8 +1,9 @@
 //! Capstan friction made up for: what the drums must pull so that the arm feels what was planned.
 //!
 //! A cable's tension falls by `exp(-mu angle)` over the bend that it has passed where it is pulled in, and rises by as
-//! much where it pays out. Planner and observer think of one tension per cable; what acts is the mean of that factor over
-//! the elements of its route, so the command is the planned tension divided by that mean. The angle is the estimate's.
+//! much where it pays out. The tension that planner, observer and governor think of is the mean of it over the elements of a
+//! cable's route; their models have at each passage the share of that mean which is left there, for a moment that changes along a
+//! segment bends it unevenly. The command is the planned tension divided by the mean. The angle is the estimate's.
 //! The direction is that of the *planned* cable rate, a smoothed sign that follows with a lag: taken from the measured
 //! rate it would be positive feedback, a push along whatever the arm does.
 
@@ -14,13 +15,17 @@ use crate::model::{Arm, State};
 pub struct FrictionCompensation {
     coefficient: f64,
     speed_mps: f64,
-    share: f64,
+    follows: f64,
     rate: Vec<f64>,
     /// Smoothed direction per cable: 1 pulled in, -1 paying out.
     direction: Vec<f64>,
     /// Bend of each element (rad).
     bend: Vec<f64>,
     factor: Vec<f64>,
+    /// Passages of each cable in the arm's list, from the base on, with their elements.
+    route: Vec<Vec<(usize, usize)>>,
+    /// Tension at each passage over the mean along its cable.
+    share: Vec<f64>,
 }
 
 impl FrictionCompensation {
@@ -30,11 +35,13 @@ impl FrictionCompensation {
         Self {
             coefficient: config.coefficient,
             speed_mps: config.speed_mps,
-            share: period_s / (period_s + config.time_s),
+            follows: period_s / (period_s + config.time_s),
             rate: vec![0.0; cables],
             direction: vec![0.0; cables],
             bend: vec![0.0; arm.elements.len()],
             factor: vec![1.0; cables],
+            route: (0..cables).map(|cable| arm.passes_of(cable).collect()).collect(),
+            share: vec![1.0; arm.passes.len()],
         }
     }
 
@@ -47,6 +54,7 @@ impl FrictionCompensation {
     pub fn rest(&mut self) {
         self.direction.fill(0.0);
         self.factor.fill(1.0);
+        self.share.fill(1.0);
     }
 
     /// Takes over where the arm is and how it is planned to move.
@@ -59,26 +67,37 @@ impl FrictionCompensation {
             let kappa = arm.element_curvature(&estimate.q, &estimate.qd, i).0;
             *bend = kappa[1].hypot(kappa[2]) * element.length;
         }
-        for (cable, route) in arm.cable_elements.iter().enumerate() {
+        for (cable, route) in self.route.iter().enumerate() {
             let wanted = (-self.rate[cable] / self.speed_mps).tanh();
             // A rate that is not a number has no direction.
             let wanted = if wanted.is_finite() { wanted } else { 0.0 };
-            self.direction[cable] += self.share * (wanted - self.direction[cable]);
+            self.direction[cable] += self.follows * (wanted - self.direction[cable]);
             let exponent = -self.coefficient * self.direction[cable];
             let (mut passed, mut sum) = (0.0, 0.0);
-            for &bend in &self.bend[route.clone()] {
+            for &(pass, element) in route {
                 // Half-way through an element half its bend is passed.
-                sum += (exponent * (passed + 0.5 * bend)).exp();
-                passed += bend;
+                let left = (exponent * (passed + 0.5 * self.bend[element])).exp();
+                self.share[pass] = left;
+                sum += left;
+                passed += self.bend[element];
             }
             let mean = sum / route.len() as f64;
-            self.factor[cable] = if mean.is_finite() && mean > 0.0 { mean } else { 1.0 };
+            let sound = mean.is_finite() && mean > 0.0;
+            self.factor[cable] = if sound { mean } else { 1.0 };
+            for &(pass, _) in route {
+                self.share[pass] = if sound { self.share[pass] / mean } else { 1.0 };
+            }
         }
     }
 
     /// Smoothed direction of each cable, -1 to 1: what the next update depends on.
     pub fn memory(&mut self) -> &mut [f64] {
         &mut self.direction
+    }
+
+    /// Tension at each passage of a cable over the mean along its route, in the order of [`Arm::passes`].
+    pub fn shares(&self) -> &[f64] {
+        &self.share
     }
 
     /// What acts along each cable's route over what its drum pulls.
@@ -125,6 +144,16 @@ mod tests {
             assert!((factors[cable] - wanted).abs() < 1e-3, "cable {cable}: {} for {wanted}", factors[cable]);
         }
         assert!(factors[..6].iter().any(|f| *f < 0.97) && factors[..6].iter().any(|f| *f > 1.03));
+        // Each passage has its share of the mean: most at the base of a cable that is pulled in, least of one that pays out.
+        let mut compensation = FrictionCompensation::new(&config, &arm, 0.01);
+        (0..200).for_each(|_| compensation.update(&arm, &state, &state));
+        for cable in 0..6 {
+            let along: Vec<f64> = arm.passes_of(cable).map(|(pass, _)| compensation.shares()[pass]).collect();
+            let ratio = (-(-rates[cable].signum()) * MU * 0.65 / 5.0).exp();
+            assert_eq!(along.len(), 5);
+            assert!((along.iter().sum::<f64>() / 5.0 - 1.0).abs() < 1e-12, "{along:?}");
+            assert!(along.windows(2).all(|pair| (pair[1] / pair[0] - ratio).abs() < 1e-3), "{cable}: {along:?}");
+        }
         // What is straight has no friction.
         assert!(factors[6..].iter().all(|f| (f - 1.0).abs() < 1e-9), "{factors:?}");
     }
@@ -139,8 +168,9 @@ mod tests {
         let mut compensation = FrictionCompensation::new(&config, &arm, 0.01);
         compensation.update(&arm, &state, &state);
         assert!(compensation.factors().iter().any(|f| *f != 1.0));
+        assert!(compensation.shares().iter().any(|share| *share != 1.0));
         compensation.rest();
-        assert!(compensation.factors().iter().all(|f| *f == 1.0));
+        assert!(compensation.factors().iter().chain(compensation.shares()).all(|f| *f == 1.0));
     }
 
     #[test]

@@ -213,6 +213,11 @@ impl Governor {
         self.offset.see(beside_m);
     }
 
+    /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
+    pub fn take_shares(&mut self, shares: &[f64]) {
+        self.reference.take_shares(shares);
+    }
+
     /// What the position of each element may be off by (m): [`ObserverConfig::margin_sigmas`] standard deviations.
     pub fn doubt_m(&self) -> &[f64] {
         &self.doubt

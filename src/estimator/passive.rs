@@ -187,6 +187,11 @@ impl Observer {
         &self.z
     }
 
+    /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
+    pub fn take_shares(&mut self, shares: &[f64]) {
+        self.arm.take_shares(shares);
+    }
+
     /// Continues from a state known otherwise, without disturbance and memory. Does not allocate.
     pub fn resume(&mut self, state: &State) {
         self.reset();

@@ -25,6 +25,8 @@ pub struct HolePass {
     pub hole: Vector3<f64>,
     /// Hole in node i+1's frame (m); another one where the cable is not parallel to the backbone.
     pub end: Vector3<f64>,
+    /// Tension here over the cable's: 1 without friction along its route.
+    pub share: f64,
 }
 
 /// Element i joins node i to node i+1 (node 0 is the base).
@@ -142,7 +144,7 @@ impl Arm {
                         let [y, z] = config.segments[cables[cable].0].hole_m(cables[cable].1, place(node));
                         Vector3::new(0.0, y, z)
                     };
-                    passes.push(HolePass { cable, hole: hole(i), end: hole(i + 1) });
+                    passes.push(HolePass { cable, hole: hole(i), end: hole(i + 1), share: 1.0 });
                 }
             }
             element.passes = start..passes.len();
@@ -192,6 +194,23 @@ impl Arm {
             [only] => only.cable..only.cable + 1,
             [] => 0..0,
         }
+    }
+
+    /// Passages of a cable in [`Arm::passes`], from the base on, with their elements.
+    pub fn passes_of(&self, cable: usize) -> impl Iterator<Item = (usize, usize)> {
+        self.elements.iter().enumerate().flat_map(move |(i, e)| {
+            e.passes.clone().filter(move |&pass| self.passes[pass].cable == cable).map(move |pass| (pass, i))
+        })
+    }
+
+    /// Takes over the tension at each passage over its cable's ([`Arm::passes`]' order): what friction leaves of it on the way.
+    /// Lengths do not change by it.
+    ///
+    /// # Panics
+    /// If there is not one share for each passage.
+    pub fn take_shares(&mut self, shares: &[f64]) {
+        assert_eq!(shares.len(), self.passes.len(), "one share for each passage");
+        self.passes.iter_mut().zip(shares).for_each(|(pass, share)| pass.share = *share);
     }
 
     /// Length (m) that a cable of `length_m` along the arm has unstretched, its feed not counted: what its drum tells, under

@@ -83,7 +83,7 @@ impl Passages {
         for (i, e) in arm.elements.iter().enumerate() {
             for (k, pass) in arm.passes[e.passes.clone()].iter().enumerate() {
                 let at = k * self.length + i;
-                (self.y[at], self.z[at], self.tension[at]) = (pass.hole[1], pass.hole[2], u[pass.cable]);
+                (self.y[at], self.z[at], self.tension[at]) = (pass.hole[1], pass.hole[2], pass.share * u[pass.cable]);
                 if arm.skew {
                     (self.end[0][at], self.end[1][at]) = (pass.end[1], pass.end[2]);
                 }
@@ -237,7 +237,7 @@ impl Passages {
                 // Places of cables between them that do not pass here stay zero.
                 let k = pass.cable - first.cable;
                 for (row, v) in groups[k / GROUP].0.iter_mut().zip(v) {
-                    row[k % GROUP] = v[l];
+                    row[k % GROUP] = pass.share * v[l];
                 }
             }
         }

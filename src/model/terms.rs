@@ -220,6 +220,7 @@ impl Arm {
             for pass in &self.passes[e.passes.clone()] {
                 let leg = span.pass(pass);
                 let mut column = |node: usize, force: &[f64; 4], sign: f64| {
+                    let sign = sign * pass.share;
                     let g = &mut g[7 * node * nc + pass.cable..];
                     for k in 0..3 {
                         g[k * nc] += sign * leg.direction[k];
@@ -241,7 +242,7 @@ impl Arm {
         for (i, e) in self.elements.iter().enumerate() {
             let span = self.span(q, i);
             for pass in &self.passes[e.passes.clone()] {
-                let f = factor * u[pass.cable];
+                let f = factor * pass.share * u[pass.cable];
                 if f == 0.0 {
                     continue;
                 }

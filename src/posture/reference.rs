@@ -194,6 +194,11 @@ impl Reference {
         }
     }
 
+    /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
+    pub fn take_shares(&mut self, shares: &[f64]) {
+        self.rest.take_shares(shares);
+    }
+
     /// The equilibrium that it is at.
     pub fn rest(&self) -> &RestingArm {
         &self.rest

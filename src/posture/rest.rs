@@ -85,6 +85,11 @@ impl RestingArm {
         &self.arm
     }
 
+    /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
+    pub fn take_shares(&mut self, shares: &[f64]) {
+        self.arm.take_shares(shares);
+    }
+
     /// Coordinates, at rest.
     pub fn state(&self) -> &State {
         &self.state

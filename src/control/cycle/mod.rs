@@ -53,6 +53,9 @@ pub trait Plan {
     fn planned(&self) -> Option<&State> {
         None
     }
+
+    /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
+    fn take_shares(&mut self, _shares: &[f64]) {}
 }
 
 impl Plan for Planner {
@@ -66,6 +69,10 @@ impl Plan for Planner {
 
     fn planned(&self) -> Option<&State> {
         Some(Self::planned(self))
+    }
+
+    fn take_shares(&mut self, shares: &[f64]) {
+        self.arm.take_shares(shares);
     }
 }
 
@@ -605,6 +612,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         if decision.action == Action::Off {
             // Nothing leaves but zero: no box, no rate.
             self.friction.rest();
+            self.take_shares();
             self.sent.fill(0.0);
             self.commanded.fill(0.0);
             return None;
@@ -660,12 +668,23 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 }
             }
         }
+        self.take_shares();
         self.applied.copy_from_slice(&self.commanded);
         let verdict = self.tensions.check(&self.proposed, &self.applied, floor, &mut self.commanded);
         for ((sent, u), factor) in self.sent.iter_mut().zip(&self.commanded).zip(self.friction.factors()) {
             *sent = u * factor;
         }
         verdict
+    }
+
+    /// Lets all models have what friction leaves of the tensions at each passage.
+    fn take_shares(&mut self) {
+        if self.friction.is_active() {
+            let shares = self.friction.shares();
+            self.planner.take_shares(shares);
+            self.estimator.take_shares(shares);
+            self.governor.take_shares(shares);
+        }
     }
 
     /// The record, for the caller to fill in the timing.
