@@ -384,6 +384,7 @@ fn run(config: &Config, balls: u64, sway_m: f64) -> Times {
             tensions_measured_n: &[],
             obstacles: &obstacles,
             demand: ObstacleDemand::Proceed,
+            tip: None,
             target: Some(TargetInput { now: target, ahead: None, weight: 0.0, sequence: 0, fresh: true }),
             drives,
             request,

@@ -91,6 +91,7 @@ impl World {
             tensions_measured_n: &[],
             obstacles: &self.obstacles,
             demand: ObstacleDemand::Proceed,
+            tip: None,
             target: self.target,
             drives: self.drives,
             request,

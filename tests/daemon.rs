@@ -4,11 +4,14 @@
 #[path = "daemon_support/mod.rs"]
 mod support;
 
+use sinew::daemon::status::StatusReport;
 use sinew::ipc::monotonic_ns;
-use sinew::ipc::payload::{Obstacle, Obstacles, RequestKind, SupervisorState};
+use sinew::ipc::payload::{Obstacle, Obstacles, RequestKind, SupervisorState, Tip};
 use sinew_hal::can::{CanBus, Id};
 use sinew_hal::virtual_bus::VirtualBus;
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use support::*;
 
@@ -100,6 +103,42 @@ fn a_speed_is_asked_for_and_shown_and_a_target_out_of_reach_is_refused_with_the_
 
     assert_eq!(place.operate(&["disarm"]).0, Some(0));
     place.until("the speed is forgotten", |s| s.mode == "disarmed" && s.speed_scale == 1.0);
+    daemon.kill();
+}
+
+#[test]
+fn a_measured_tip_is_shown_with_what_the_estimate_lacks_and_one_that_cannot_be_is_told() {
+    let place = Place::shipped();
+    let _plant = Plant::start(&place, false, &[]);
+    let daemon = place.daemon(&["--arm-on-start"]);
+    let before = place.until("holding", |s| s.mode == "holding");
+    assert!(before.tip_sensor.is_none() && before.tip.measured_m.is_none(), "{before:#?}");
+    let mut sensor = place.client().tips(9).unwrap();
+    // 20 mm beside the estimate of an arm that rests, then half a metre, then nothing.
+    let (off_mm, [x, y, z]) = (Arc::new(AtomicU64::new(20)), before.tip.position_m);
+    let set_mm = off_mm.clone();
+    let measuring = std::thread::spawn(move || {
+        while let off_mm @ 1.. = off_mm.load(Ordering::Relaxed) {
+            let position_m = [x + 1e-3 * off_mm as f64, y, z];
+            sensor.publish(&mut Tip { position_m, ..Tip::default() }, monotonic_ns()).unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    });
+    let report = place.until("a bias", |s| s.tip.bias_m[0] > 0.002);
+    assert!(report.tip_sensor.as_ref().is_some_and(|s| s.id == 9 && s.health == "fresh"), "{report:#?}");
+    let [bias, y, z] = report.tip.bias_m;
+    assert!(bias < 0.0201 && y.abs() < 1e-3 && z.abs() < 1e-3, "{report:#?}");
+    assert!((report.tip.measured_m.unwrap()[0] - before.tip.position_m[0] - 0.02).abs() < 1e-12);
+    let (_, said) = place.operate(&["status"]);
+    assert!(said.contains("measured at (") && said.contains("tip sensor"), "{said}");
+    let told = |s: &StatusReport| s.alarms.iter().any(|a| a.what == "the tip sensor and the cables differ by too much");
+    set_mm.store(500, Ordering::Relaxed);
+    place.until("the alarm", told);
+    set_mm.store(0, Ordering::Relaxed);
+    measuring.join().unwrap();
+    // Silence is no alarm, and the arm holds on.
+    let last = place.until("no alarm", |s| !told(s));
+    assert!(last.mode == "holding" && last.tip.measured_m.is_none(), "{last:#?}");
     daemon.kill();
 }
 

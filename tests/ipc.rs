@@ -71,7 +71,7 @@ struct Daemon {
 fn limits() -> IoLimits {
     // Generous, because the machine may be busy; staleness itself is tested without a clock.
     let generous = InputLimits { stale_after_s: 5.0, hold_after_s: 10.0, ..InputLimits::default() };
-    IoLimits { obstacles: generous, target: generous, encoders: generous }
+    IoLimits { obstacles: generous, target: generous, encoders: generous, tip: generous }
 }
 
 impl Daemon {

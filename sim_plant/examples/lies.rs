@@ -132,7 +132,7 @@ fn run(
         }
         let h = config.timing.period_s;
         let reference = bench.cycle.governor().reference_tip();
-        let (true_m, _) = truly.follow(h, &tip, &reference);
+        let (true_m, _) = truly.follow(h, &tip, None, &reference);
         let said_m = bench.cycle.supervision().swing_m();
         shown.swing.0 = shown.swing.0.max(true_m);
         shown.swing.1 = shown.swing.1.max(said_m);

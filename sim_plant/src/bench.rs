@@ -5,7 +5,9 @@
 //! left out is the wire.
 
 use crate::truth::{Truth, TruthSettings};
+use nalgebra::Vector3;
 use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sinew::collision::Shape;
 use sinew::config::{Config, ObstacleConfig, SafeHold, ScenarioConfig};
@@ -13,11 +15,12 @@ use sinew::control::obstacles::Placement;
 use sinew::control::{CableMask, Record};
 use sinew::control::{
     Cycle, DrivesCommand, DrivesInput, DrivesPhase, EncoderReadings, Mode, ObstacleDemand, ObstaclePair, Request,
-    STAY_LOOKAHEADS, Settings, TargetInput, TickInputs, TickOutput,
+    STAY_LOOKAHEADS, Settings, TargetInput, TickInputs, TickOutput, TipReading,
 };
 use sinew::estimator::Observer;
 use sinew::model::Arm;
 use sinew::scenario::Course;
+use std::collections::VecDeque;
 
 /// Emergency code of a drive that trips.
 const OVER_CURRENT: u32 = 0x2310;
@@ -42,6 +45,48 @@ impl Lie {
     /// The gear is `factor` times the one configured.
     pub const fn gear(factor: f64) -> Self {
         Self { pull: factor, shows: factor, slip: 0.0 }
+    }
+}
+
+/// A sensor of the tip's position, in the controller's clock.
+#[derive(Debug, Clone)]
+pub struct TipMeter {
+    /// Standard deviation of each coordinate (m).
+    pub sigma_m: f64,
+    /// Time between two measurements (s).
+    pub interval_s: f64,
+    /// Time until one arrives (s).
+    pub delay_s: f64,
+    /// By how much all of them are off (m).
+    pub off_m: [f64; 3],
+    on_its_way: VecDeque<TipReading>,
+    newest: Option<TipReading>,
+}
+
+impl TipMeter {
+    /// A tracker: 50 measurements a second, 30 ms old.
+    pub fn tracker(sigma_m: f64) -> Self {
+        let (interval_s, delay_s) = (0.02, 0.03);
+        Self { sigma_m, interval_s, delay_s, off_m: [0.0; 3], on_its_way: VecDeque::new(), newest: None }
+    }
+
+    /// What has arrived by `now_ns`, the tip being at `tip`.
+    fn measure(&mut self, tip: Vector3<f64>, now_ns: u64, rng: &mut Xoshiro256PlusPlus) -> Option<TipReading> {
+        let last_ns = self.on_its_way.back().or(self.newest.as_ref()).map(|reading| reading.capture_ns);
+        if last_ns.is_none_or(|last_ns| (now_ns - last_ns) as f64 >= 1e9 * self.interval_s - 1e3) {
+            let noise = Vector3::from_fn(|_, _| {
+                let normal: f64 = StandardNormal.sample(rng);
+                self.sigma_m * normal
+            });
+            self.on_its_way
+                .push_back(TipReading { position_m: tip + noise + Vector3::from(self.off_m), capture_ns: now_ns });
+        }
+        while let Some(first) = self.on_its_way.front()
+            && (now_ns - first.capture_ns) as f64 >= 1e9 * self.delay_s - 1e3
+        {
+            self.newest = self.on_its_way.pop_front();
+        }
+        self.newest
     }
 }
 
@@ -128,6 +173,8 @@ pub struct Bench {
     pub demand: ObstacleDemand,
     /// Lies of the drives, one per cable.
     pub lies: Vec<Lie>,
+    /// A sensor of the tip, if there is one.
+    pub tip_sensor: Option<TipMeter>,
     /// Why the plant could not go on; it stays where it was.
     pub broken: Option<String>,
     /// Largest change of a tension per second while the planner was at work (N/s).
@@ -149,6 +196,8 @@ pub struct Bench {
     tick: u64,
     period_s: f64,
     rng: Xoshiro256PlusPlus,
+    /// Of the tip's sensor.
+    noise: Xoshiro256PlusPlus,
 }
 
 impl Bench {
@@ -167,6 +216,7 @@ impl Bench {
             obstacles: ObstaclePair::new(),
             demand: ObstacleDemand::Proceed,
             lies: vec![Lie::NONE; cables],
+            tip_sensor: None,
             broken: None,
             tension_rate_max_nps: 0.0,
             trouble: None,
@@ -184,6 +234,7 @@ impl Bench {
             tick: 0,
             period_s,
             rng: Xoshiro256PlusPlus::seed_from_u64(truth.seed),
+            noise: Xoshiro256PlusPlus::seed_from_u64(!truth.seed),
         }
     }
 
@@ -317,6 +368,8 @@ impl Bench {
         }
         let mut valid = CableMask::default();
         (0..self.shown_m.len()).filter(|cable| !unread.contains(cable)).for_each(|cable| valid.insert(cable));
+        let tip = self.truth.tip().position;
+        let tip = self.tip_sensor.as_mut().and_then(|meter| meter.measure(tip, now_ns, &mut self.noise));
         let inputs = TickInputs {
             tick: self.tick,
             now_ns,
@@ -326,6 +379,7 @@ impl Bench {
             tensions_measured_n: &self.told_n,
             obstacles: &self.obstacles,
             demand: self.demand,
+            tip,
             target: self.target,
             drives: DrivesInput { phase, ready: fault.is_none(), fault, bus_lost, emergency_stop: None },
             request,

@@ -2,11 +2,11 @@
 //! (`cargo run --release -p sim_plant --example campaign -- poses`).
 
 #![allow(clippy::expect_used)] // a test stops where it cannot go on
-use sim_plant::bench::Bench;
+use sim_plant::bench::{Bench, TipMeter};
 use sim_plant::poses::{Shown, random, show};
 use sim_plant::truth::TruthSettings;
 use sinew::config::Config;
-use sinew::control::Settings;
+use sinew::control::{Limit, Settings};
 
 /// A step from the straight arm to the pose, or the posture, of a seed, watched for 10 s.
 fn shown(seed: u64, shape: bool, change: impl Fn(&mut Config, &mut TruthSettings)) -> Shown {
@@ -55,4 +55,34 @@ fn an_arm_that_hardly_damps_is_still_too() {
     for factor in [0.25, 0.04] {
         judge(&shown(16, false, |_, truth| truth.damping_factor = factor), 3e-3);
     }
+}
+
+/// A pose held for a minute by an arm whose tip a tracker measures, off by so much (m).
+fn measured(seed: u64, off_m: f64) -> (Shown, u32) {
+    let config = Config::builtin();
+    let mut bench = Bench::new(&config, &Settings::new(&config), &TruthSettings::study(seed));
+    let mut tracker = TipMeter::tracker(0.5e-3);
+    tracker.off_m = [off_m, 0.0, 0.0];
+    bench.tip_sensor = Some(tracker);
+    bench.arm(60.0).expect("armed");
+    let shown = show(&mut bench, &random(&config, seed), false, 40.0, None).expect("no trace, no error");
+    (shown, bench.record().limits.0)
+}
+
+#[test]
+fn a_measured_tip_comes_to_its_target_where_cables_alone_leave_millimetres_and_is_as_still() {
+    // Their paths last for more than 60 s: what is learnt meanwhile is there at the end.
+    for seed in [1, 4] {
+        let (alone, (with, limits)) = (shown(seed, false, |_, _| ()), measured(seed, 0.0));
+        judge(&with, 3e-3);
+        assert!(alone.error > 1.8e-3 && with.error < 1.2e-3, "{} m, with a sensor {with:?}", alone.error);
+        assert_eq!(limits, 0);
+    }
+}
+
+#[test]
+fn a_tip_sensor_in_another_frame_is_not_believed_and_the_arm_goes_by_its_cables() {
+    let (shown, limits) = measured(10, 0.2);
+    judge(&shown, 3e-3);
+    assert_eq!(limits, 1 << (Limit::TipDoubted.code() - 100));
 }

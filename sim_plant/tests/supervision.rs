@@ -188,7 +188,7 @@ fn an_arm_that_swings_is_never_shown_as_holding_without_saying_so() {
     let (mut swings, mut unsaid) = (0, 0);
     wander(&config, &mut bench, 1, 40.0, |bench| {
         let (tip, reference) = (bench.truth.tip().position, bench.cycle.governor().reference_tip());
-        let (swing_m, _) = truly.follow(config.timing.period_s, &tip, &reference);
+        let (swing_m, _) = truly.follow(config.timing.period_s, &tip, None, &reference);
         if swing_m > 0.02 {
             swings += 1;
             unsaid += usize::from(!bench.record().limits.contains(Limit::Swinging));

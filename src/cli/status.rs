@@ -60,6 +60,12 @@ fn text(r: &StatusReport) -> String {
         .three_sigma_m
         .map_or_else(|| "not known how well".into(), |b| format!("known to {:.1} mm (3 sigma)", 1e3 * b));
     line(format!("tip: ({x:.4}, {y:.4}, {z:.4}) m, {bound}"));
+    if let Some([x, y, z]) = t.measured_m {
+        let bias_mm = 1e3 * t.bias_m.iter().map(|b| b * b).sum::<f64>().sqrt();
+        line(format!(
+            "  measured at ({x:.4}, {y:.4}, {z:.4}) m; the estimate is {bias_mm:.1} mm off, as far as that lasts"
+        ));
+    }
     t.error_m.iter().for_each(|e| line(format!("  {:.1} mm from its target", 1e3 * e)));
     t.curvature_error_1pm.iter().for_each(|e| line(format!("  mean curvatures within {e:.4} 1/m of their target")));
     t.nearest_m.iter().for_each(|d| line(format!("  nearest obstacle: {:.1} mm", 1e3 * d)));
@@ -106,7 +112,8 @@ fn text(r: &StatusReport) -> String {
     let mut sources = table();
     sources.set_header(["source", "id", "health", "age (ms)", "accepted", "rejected"]);
     let rows = [("encoders", &r.encoders), ("target", &r.target)];
-    for (name, source) in rows.into_iter().chain(r.obstacles.iter().map(|source| ("obstacles", source))) {
+    let tip = r.tip_sensor.iter().map(|source| ("tip sensor", source));
+    for (name, source) in rows.into_iter().chain(tip).chain(r.obstacles.iter().map(|source| ("obstacles", source))) {
         sources.add_row(row(name, source));
     }
     line(sources.to_string());

@@ -60,6 +60,8 @@ impl Config {
         add("supervision.length_error_m", s.length_error_m, "m");
         add("obstacles.growth_mps", self.obstacles.growth_mps, "m/s");
         add("obstacles.growth_m_max", self.obstacles.growth_m_max, "m");
+        add("tip_sensor.time_s", self.tip_sensor.time_s, "s");
+        add("tip_sensor.error_m", self.tip_sensor.error_m, "m");
         add("friction.speed_mps", self.friction.speed_mps, "m/s");
         lines
     }

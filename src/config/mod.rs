@@ -38,6 +38,7 @@ mod stations;
 mod supervision;
 mod target;
 mod timing;
+mod tip_sensor;
 mod weights;
 
 pub use access::{ACCESS, AccessConfig, Who};
@@ -67,6 +68,7 @@ pub use scenario_file::{SCENARIO, arm_of, arm_text_of};
 pub use supervision::{SUPERVISION, SupervisionAnswer, SupervisionConfig};
 pub use target::{TARGET, TargetPolicyConfig};
 pub use timing::{LOOP, LoopConfig};
+pub use tip_sensor::{TIP_SENSOR, TipSensorConfig};
 pub use weights::{ShapeWeights, TipWeights, WEIGHTS, WeightsConfig};
 
 use reader::Document;
@@ -86,6 +88,7 @@ static KNOWN_TABLES: &[&TableSpec] = &[
     &WEIGHTS,
     &OBSERVER,
     &FRICTION,
+    &TIP_SENSOR,
     &GOVERNOR,
     &GUARD,
     &SUPERVISION,
@@ -116,6 +119,8 @@ pub struct Config {
     pub observer: ObserverConfig,
     /// `[friction]`.
     pub friction: FrictionConfig,
+    /// `[tip_sensor]`.
+    pub tip_sensor: TipSensorConfig,
     /// `[governor]`.
     pub governor: GovernorConfig,
     /// `[guard]`.
@@ -204,6 +209,7 @@ impl Config {
         let weights = weights::read(&document.table_or_defaults(&WEIGHTS), arm.segments.len(), planner.lookahead_s);
         let observer = observer::read(&document.table_or_defaults(&OBSERVER), &arm, &scale);
         let friction = friction::read(&document.table_or_defaults(&FRICTION), &scale);
+        let tip_sensor = tip_sensor::read(&document.table_or_defaults(&TIP_SENSOR), &scale);
         let governor = governor::read(&document.table_or_defaults(&GOVERNOR), &scale);
         let guard_table = document.table_or_defaults(&GUARD);
         let guard = guard::read(&guard_table, &scale, timing.period_s);
@@ -232,6 +238,7 @@ impl Config {
             weights,
             observer,
             friction,
+            tip_sensor,
             governor,
             guard,
             supervision,

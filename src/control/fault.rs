@@ -281,11 +281,13 @@ pub enum Limit {
     CableSuspect = 21,
     /// An emergency stop outside of the controller is pressed.
     EmergencyStop = 22,
+    /// The tip is measured farther from the estimate than `tip_sensor.error_m`: not used.
+    TipDoubted = 23,
 }
 
 impl Limit {
     /// All, in the order of their codes.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::ObstaclesExpired,
         Self::TargetStale,
         Self::RateLimited,
@@ -304,6 +306,7 @@ impl Limit {
         Self::TensionError,
         Self::CableSuspect,
         Self::EmergencyStop,
+        Self::TipDoubted,
     ];
 
     /// Stable number from 100 on, apart from those of faults.
@@ -332,6 +335,7 @@ impl Limit {
             Self::TensionError => "a drive measures another tension than it was told",
             Self::CableSuspect => "a cable does not do what its drive says",
             Self::EmergencyStop => "an emergency stop is pressed",
+            Self::TipDoubted => "the tip sensor and the cables differ by too much",
         }
     }
 }

@@ -90,6 +90,9 @@ pub struct Governor {
     missed_s: f64,
     /// Between target and where the tip is led.
     offset: TipOffset,
+    /// What lasts of what the estimate lacks of the tip, and what it lacks now (m, base frame).
+    lasting: Vector3<f64>,
+    lacks: Vector3<f64>,
     goal: Vec<f64>,
     /// `e`.
     path: Path,
@@ -167,6 +170,8 @@ impl Governor {
             reach: None,
             missed_s: 0.0,
             offset: TipOffset::new(scale.time_s(MEAN), along_after_s, OFFSET_MAX * config.length_m()),
+            lasting: Vector3::zeros(),
+            lacks: Vector3::zeros(),
             goal: vec![0.0; count],
             path: Path::new(count),
             desired: vec![0.0; count],
@@ -208,9 +213,11 @@ impl Governor {
         self.possible_swing_m = swing_m;
     }
 
-    /// The estimated tip beside the reference's of as long ago as that is ahead of the arm (m, base frame).
-    pub fn see_tip(&mut self, beside_m: Vector3<f64>) {
+    /// The estimated tip beside the reference's of as long ago as that is ahead of the arm, and what the estimate is known to
+    /// lack of the tip: what lasts of it, and what it is now where that is measured (all m, base frame).
+    pub fn see_tip(&mut self, beside_m: Vector3<f64>, lasting_m: Vector3<f64>, lacks_m: Option<Vector3<f64>>) {
         self.offset.see(beside_m);
+        (self.lasting, self.lacks) = (lasting_m, lacks_m.unwrap_or(lasting_m));
     }
 
     /// Takes over what friction leaves of the tensions at each passage, see [`Arm::take_shares`].
@@ -412,7 +419,8 @@ impl Governor {
         if following && !self.path.is_under_way() {
             self.offset.follow(h, &moved.way);
         }
-        let led = (self.offset.lead(position), *quaternion);
+        let unled = (position - self.lasting, *quaternion);
+        let led = (self.offset.lead(&unled.0), *quaternion);
         // One that runs faster than the limit leaves the arm behind, and is no step for that; once it no longer does, the
         // rest of the way is a path.
         let limits = self.limits();
@@ -422,7 +430,7 @@ impl Governor {
         if self.kind != Kind::Tip || jumps || (!runs && is_step(self.follower.lacks(&led, &moved, h, &limits))) {
             self.kind = Kind::Tip;
             self.offset.restart();
-            self.follower.place(wished);
+            self.follower.place(unled);
             self.reach = None;
             self.missed_s = 0.0;
             self.search.begin(self.reference.rest());
@@ -558,7 +566,7 @@ impl Governor {
             return;
         }
         self.damp(h);
-        self.covariance.update(curvatures, self.reference.ends(), self.possible_swing_m);
+        self.covariance.update(curvatures, self.reference.ends(), self.possible_swing_m, &self.lacks);
         let sigma = self.covariance.element_sigma_m();
         let most_m = self.sigma_max_m;
         self.doubt.iter_mut().zip(sigma).for_each(|(doubt, sigma)| *doubt = self.sigmas * sigma.min(most_m));

@@ -40,6 +40,7 @@ pub mod supervision;
 pub mod supervisor;
 pub mod target;
 mod tip_offset;
+mod tip_sensor;
 
 pub use budget::{Budget, Phase, StopWatch};
 pub use causes::{doubts, likely_cause};
@@ -58,6 +59,7 @@ pub use settings::Settings;
 pub use steering::{Steering, weights_in_words};
 pub use supervisor::{Answer, Cause, DrivesCommand, DrivesInput, DrivesPhase, Mode, Refusal, Request, Supervisor};
 pub use target::{Target, TargetInput};
+pub use tip_sensor::{TipReading, TipSensor};
 
 /// Most cables of an arm: the width of every array of a record.
 pub const CABLES_MAX: usize = 96;

@@ -55,6 +55,10 @@ pub struct Record {
     pub fault_count: u32,
     /// Limits that acted.
     pub limits: Limits,
+    /// Measured position of the tip (m), base frame; NaN where none is fresh.
+    pub tip_measured_m: [f64; 3],
+    /// What lasts of measured less estimated tip (m), base frame.
+    pub tip_bias_m: [f64; 3],
     /// Swing of the tip that there may be, peak to peak (m); 0 where nothing was watched yet.
     pub swing_m: f64,
     /// Covariance of the estimated tip position (m^2, base frame), row by row; NaN where nothing was estimated yet.
@@ -145,6 +149,8 @@ impl Default for Record {
             fault: None,
             fault_count: 0,
             limits: Limits::default(),
+            tip_measured_m: [f64::NAN; 3],
+            tip_bias_m: [0.0; 3],
             swing_m: 0.0,
             tip_covariance_m2: [f64::NAN; 9],
             speed_scale: 1.0,

@@ -2,7 +2,7 @@
 
 use crate::config::{
     ArmConfig, Config, FrictionConfig, GovernorConfig, GuardConfig, LoopConfig, ObserverConfig, PlannerConfig,
-    SafeHold, SupervisionConfig, WeightsConfig,
+    SafeHold, Scale, SupervisionConfig, TipSensorConfig, WeightsConfig,
 };
 
 /// Settings of a [`super::Cycle`], checked where they were read.
@@ -20,6 +20,8 @@ pub struct Settings {
     pub observer: ObserverConfig,
     /// Friction that is made up for.
     pub friction: FrictionConfig,
+    /// How a measured tip is used.
+    pub tip_sensor: TipSensorConfig,
     /// Guard.
     pub guard: GuardConfig,
     /// Limits of motion.
@@ -55,10 +57,16 @@ impl Settings {
             config.supervision,
         );
         let safe_hold = config.drives.drives.iter().map(|drive| drive.safe_hold).collect();
-        Self { friction: config.friction.clone(), safe_hold, arm_unknown: config.obstacles.arm_unknown, ..parts }
+        Self {
+            friction: config.friction.clone(),
+            tip_sensor: config.tip_sensor,
+            safe_hold,
+            arm_unknown: config.obstacles.arm_unknown,
+            ..parts
+        }
     }
 
-    /// From the parts that matter; start, home, friction (none) and cables at a fault (hold) have their defaults.
+    /// From the parts that matter; start, home, friction (none), tip sensor and cables at a fault (hold) have their defaults.
     pub fn from_parts(
         arm: ArmConfig,
         timing: LoopConfig,
@@ -69,6 +77,7 @@ impl Settings {
         guard: GuardConfig,
         supervision: SupervisionConfig,
     ) -> Self {
+        let tip_sensor = TipSensorConfig::of(&Scale::of(&arm));
         Self {
             safe_hold: vec![SafeHold::Hold; arm.cable_count()],
             arm_unknown: false,
@@ -83,6 +92,7 @@ impl Settings {
             observer,
             governor,
             friction: FrictionConfig::NONE,
+            tip_sensor,
             guard,
             supervision,
         }

@@ -205,6 +205,10 @@ fn of_limit(limit: Limit, state: &State) -> Option<Alarm> {
             "release it (`sinew emergency-stop --release`, or the button), then `sinew clear`",
         ),
         Limit::CableSuspect => (answer("cable_answer"), "the drive's data are mended, or the cable"),
+        Limit::TipDoubted => (
+            "the tip is steered by cables alone".into(),
+            "sensor and base frame agree, or `tip_sensor.error_m` is larger",
+        ),
         _ => return None,
     };
     let about = if limit == Limit::EmergencyStop { "emergency stop" } else { "motion" };

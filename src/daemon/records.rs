@@ -175,6 +175,7 @@ fn limit_over(limit: Limit) -> &'static str {
         Limit::Saturated => "no tension stays at its limit any more",
         Limit::TensionError => "all drives measure what they were told again",
         Limit::EmergencyStop => "no emergency stop is pressed any more",
+        Limit::TipDoubted => "the measured tip is near the estimate again",
         Limit::CableSuspect => "all cables do what their drives say again",
     }
 }
@@ -234,6 +235,8 @@ pub(crate) fn state_into(record: &Record, obstacles: &PairReader, warning: Plann
     distances_into(record, obstacles, state);
     state.timing = timing(&record.timing);
     state.limits = u64::from(record.limits.0);
+    state.tip_measured_m = record.tip_measured_m;
+    state.tip_bias_m = record.tip_bias_m;
     state.swing_m = record.swing_m;
     state.tip_covariance_m2 = record.tip_covariance_m2;
     state.speed_scale = record.speed_scale;

@@ -140,6 +140,12 @@ pub struct TipStatus {
     pub nearest_m: Option<f64>,
     /// Smallest and largest tension commanded (N).
     pub tension_n: [f64; 2],
+    /// Measured position of the tip (m, base frame); null where no measurement is fresh.
+    #[serde(default)]
+    pub measured_m: Option<[f64; 3]>,
+    /// What lasts of measured less estimated tip (m, base frame).
+    #[serde(default)]
+    pub bias_m: [f64; 3],
 }
 
 /// Everything.
@@ -194,6 +200,9 @@ pub struct StatusReport {
     pub encoders: SourceStatus,
     /// Target.
     pub target: SourceStatus,
+    /// Measured tip; null where nothing ever measured it.
+    #[serde(default)]
+    pub tip_sensor: Option<SourceStatus>,
     /// Obstacle sources.
     pub obstacles: Vec<SourceStatus>,
     /// Obstacle sets refused because all places for sources are taken.
@@ -414,6 +423,7 @@ impl Shared {
             safe_hold: fixed.safe_hold.clone(),
             encoders: source_status(&state.encoder_report),
             target: source_status(&state.target_report),
+            tip_sensor: used(&&state.tip_report).then(|| source_status(&state.tip_report)),
             obstacles: state.obstacle_sources.iter().filter(used).map(source_status).collect(),
             obstacle_sources_refused: state.obstacle_sources_refused,
             distances: DistanceStatus::of(&state),
@@ -440,6 +450,8 @@ fn tip_status(state: &State) -> TipStatus {
             tensions.iter().copied().fold(f64::NAN, f64::max),
         ]
         .map(|x| if x.is_nan() { 0.0 } else { x }),
+        measured_m: state.tip_measured_m.iter().all(|x| x.is_finite()).then_some(state.tip_measured_m),
+        bias_m: state.tip_bias_m,
     }
 }
 

@@ -10,7 +10,7 @@ use super::watch::Watch;
 use crate::config::{Config, LostAction};
 use crate::control::{
     Budget, CableMask, Cycle, DrivesInput, DrivesPhase, EncoderReadings, Estimator, Fault, Mode, ObstacleDemand,
-    ObstaclePair, Refusal, Request, Target, TargetInput, TickInputs, Timing,
+    ObstaclePair, Refusal, Request, Target, TargetInput, TickInputs, Timing, TipReading,
 };
 use crate::ipc::intake::{self, InputLimits, TargetSample, TargetTrack};
 use crate::ipc::payload::{Header, PlannerBranch, RequestKind, SourceHealth, State, TargetMode};
@@ -49,7 +49,13 @@ pub fn limits(config: &Config, lockstep: bool) -> IoLimits {
         future_tolerance_s: policy.future_tolerance_s + ahead_s,
         ..InputLimits::default()
     };
-    IoLimits { obstacles, target, encoders }
+    let tip = InputLimits {
+        stale_after_s: config.tip_sensor.stale_after_s,
+        hold_after_s: config.tip_sensor.stale_after_s.max(1.0),
+        future_tolerance_s: InputLimits::default().future_tolerance_s + ahead_s,
+        ..InputLimits::default()
+    };
+    IoLimits { obstacles, target, encoders, tip }
 }
 
 /// Code of the event that tells, by its value, how many SYNCs had been sent with that of tick 0.
@@ -103,6 +109,7 @@ struct Seen {
     valid: CableMask,
     capture_ns: u64,
     demand: ObstacleDemand,
+    tip: Option<TipReading>,
     target: Option<TargetInput>,
     drives: DrivesInput,
     request: Option<Request>,
@@ -118,6 +125,7 @@ impl Seen {
             tensions_measured_n: measured_n,
             obstacles,
             demand: self.demand,
+            tip: self.tip,
             target: self.target,
             drives: self.drives,
             request: self.request,
@@ -218,6 +226,10 @@ impl<E: Estimator> Controller<E> {
         let demand = self.place_obstacles(now_ns);
         let valid = self.read_encoders();
         let capture_ns = self.inputs.encoders().latest().map_or(0, |m| m.header.capture_ns);
+        let tip = self.inputs.tip().fresh(now_ns, &self.limits.tip).map(|measured| TipReading {
+            position_m: measured.position_m.into(),
+            capture_ns: measured.header.capture_ns,
+        });
         let target = self.target(now_ns);
         let lost = self.stop_if_lost && self.inputs.obstacles().is_lost(now_ns, &self.limits.obstacles);
         let (request, command) =
@@ -228,8 +240,18 @@ impl<E: Estimator> Controller<E> {
         let began_ns = monotonic_ns();
 
         let mut watch = Watch::new(time.budget, now_ns, began_ns);
-        let seen =
-            Seen { tick: time.tick, now_ns, missed: time.missed, valid, capture_ns, demand, target, drives, request };
+        let seen = Seen {
+            tick: time.tick,
+            now_ns,
+            missed: time.missed,
+            valid,
+            capture_ns,
+            demand,
+            tip,
+            target,
+            drives,
+            request,
+        };
         let inputs = seen.inputs(&self.lengths, &self.measured, self.obstacles.pair());
         let output = self.cycle.tick(&inputs, &mut self.rng, &mut watch);
 
@@ -431,6 +453,7 @@ impl<E: Estimator> Controller<E> {
         state.time_s = time.tick as f64 * self.period_ns as f64 * 1e-9;
         state.target_report = self.inputs.target().report(now_ns, &self.limits.target);
         state.encoder_report = self.inputs.encoders().report(now_ns, &self.limits.encoders);
+        state.tip_report = self.inputs.tip().report(now_ns, &self.limits.tip);
         state.ticks_missed = time.left_out;
         self.outputs.record(state);
         if state.speed_scale != self.speed_told {

@@ -99,6 +99,7 @@ pub(crate) fn warm_up(config: &Config, settings: &Settings) -> Vec<Mode> {
                 tensions_measured_n: &lengths,
                 obstacles,
                 demand: ObstacleDemand::Proceed,
+                tip: None,
                 target,
                 drives,
                 request: request.take(),

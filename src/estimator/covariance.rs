@@ -11,7 +11,8 @@
 //! ```
 //!
 //! half of the shares' error common to all segments, half of each alone; w is the swing that there may be beside what cables
-//! show, s_e the point's share of the arm's length. Checked against the true arm by `sim_plant`'s campaign: the error stays
+//! show, s_e the point's share of the arm's length. Where a sensor tells that the tip is `d` off, the variance along `d` is no
+//! less than `s_e^2 |d|^2`. Checked against the true arm by `sim_plant`'s campaign: the error stays
 //! within three standard deviations.
 
 use crate::config::ObserverConfig;
@@ -68,8 +69,9 @@ impl PositionCovariance {
     }
 
     /// Takes over mean curvatures `kappa` (1/m), the sensitivity `ends` of the segments' ends to them (m per 1/m, three rows of
-    /// two columns a segment for each end) and the swing that there may be (m, peak to peak). Does not allocate.
-    pub fn update(&mut self, kappa: &[f64], ends: &[f64], swing_m: f64) {
+    /// two columns a segment for each end), the swing that there may be (m, peak to peak), and what the tip is known to be
+    /// off by (m; zero where nothing measures it). Does not allocate.
+    pub fn update(&mut self, kappa: &[f64], ends: &[f64], swing_m: f64, off_m: &Vector3<f64>) {
         let count = kappa.len();
         self.known = true;
         for (e, end) in ends.chunks_exact(3 * count).enumerate() {
@@ -86,6 +88,11 @@ impl PositionCovariance {
             }
             p += (0.5 * self.scale_sigma.powi(2)) * all * all.transpose();
             p += Matrix3::identity() * (self.swing_sigma * self.share[e] * swing_m).powi(2);
+            if let Some(along) = off_m.try_normalize(0.0) {
+                let known = self.share[e] * off_m.norm();
+                let lacks = known.powi(2) - along.dot(&(p * along));
+                p += lacks.max(0.0) * along * along.transpose();
+            }
             self.end[e] = p;
             self.sigma[e] = p.symmetric_eigenvalues().max().max(0.0).sqrt();
         }
@@ -124,8 +131,8 @@ mod tests {
         for e in 1..4 {
             ends[(3 * e + 1) * 8 + 3] = 2.0;
         }
-        let mut kappa = [0.0; 8];
-        covariance.update(&kappa, &ends, 0.0);
+        let (mut kappa, none) = ([0.0; 8], Vector3::zeros());
+        covariance.update(&kappa, &ends, 0.0, &none);
         let angle = 1e-3 / 0.65 * 2.0;
         let tip = covariance.tip().unwrap();
         assert!((tip[(1, 1)].sqrt() / angle - 1.0).abs() < 1e-9 && tip[(0, 0)] == 0.0, "{tip}");
@@ -133,12 +140,20 @@ mod tests {
         assert!((covariance.element_sigma_m()[19] / angle - 1.0).abs() < 1e-9);
         // A share of a bend is no less the larger it is; swinging comes on top, least near the base.
         kappa[3] = 1.5;
-        covariance.update(&kappa, &ends, 0.0);
+        covariance.update(&kappa, &ends, 0.0, &none);
         let bent = covariance.tip().unwrap()[(1, 1)];
         assert!((bent - angle.powi(2) - (0.01_f64 * 1.5 * 2.0).powi(2)).abs() < 1e-12, "{bent}");
-        covariance.update(&kappa, &ends, 0.1);
+        covariance.update(&kappa, &ends, 0.1, &none);
         let swinging = covariance.element_sigma_m();
         assert!(swinging[19] > bent.sqrt() && swinging[4] < swinging[19]);
         assert!((swinging[4] - settings.swing_sigma * 0.25 * 0.1).abs() < 1e-12, "{}", swinging[4]);
+        // What is known to be off counts along itself, and where it is more than what was thought of.
+        covariance.update(&kappa, &ends, 0.1, &Vector3::new(0.0, 0.0, 0.1));
+        let known = covariance.tip().unwrap();
+        assert!((known[(2, 2)].sqrt() - 0.1).abs() < 1e-12 && known[(1, 1)] < 0.9 * 0.1 * 0.1, "{known}");
+        covariance.update(&kappa, &ends, 0.1, &Vector3::new(0.0, 1e-3, 0.0));
+        let usual = covariance.tip().unwrap()[(1, 1)];
+        covariance.update(&kappa, &ends, 0.1, &none);
+        assert_eq!(covariance.tip().unwrap()[(1, 1)], usual);
     }
 }

@@ -4,7 +4,7 @@
 //! drops the new entry and counts it: the control thread never waits, and nothing behind it can stop it.
 
 use super::by_socket::{BySocket, ToSocket};
-use super::intake::{EncoderTable, ObstacleTable, TargetTrack};
+use super::intake::{EncoderTable, ObstacleTable, TargetTrack, TipTable};
 use super::payload::{RefusalReason, Request, RequestKind, State, SupervisorState, Verdict};
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
@@ -116,6 +116,7 @@ pub struct LockstepSources {
 pub struct ControlInputs {
     encoders: Output<EncoderTable>,
     target: Output<TargetTrack>,
+    tip: Output<TipTable>,
     obstacles: Output<ObstacleTable>,
     commands: Consumer<Command>,
     direct: Consumer<Command>,
@@ -126,12 +127,18 @@ impl ControlInputs {
     pub fn update(&mut self) {
         self.encoders.update();
         self.target.update();
+        self.tip.update();
         self.obstacles.update();
     }
 
     /// Encoder states as of the last [`ControlInputs::update`].
     pub fn encoders(&self) -> &EncoderTable {
         self.encoders.output_buffer()
+    }
+
+    /// Measured tips as of the last update.
+    pub fn tip(&self) -> &TipTable {
+        self.tip.output_buffer()
     }
 
     /// Targets as of the last update.
@@ -206,6 +213,7 @@ impl ControlOutputs {
 pub struct IoEnds {
     pub(crate) encoders: Input<EncoderTable>,
     pub(crate) target: Input<TargetTrack>,
+    pub(crate) tip: Input<TipTable>,
     pub(crate) obstacles: Input<ObstacleTable>,
     pub(crate) commands: Producer<Command>,
     pub(crate) records: Consumer<State>,
@@ -274,6 +282,7 @@ pub fn channels(
 ) -> (ControlInputs, ControlOutputs, IoEnds, DirectEnd) {
     let (encoders_in, encoders_out) = triple_buffer(&EncoderTable::new(cable_count));
     let (target_in, target_out) = triple_buffer(&TargetTrack::new(segment_count));
+    let (tip_in, tip_out) = triple_buffer(&TipTable::default());
     let (obstacles_in, obstacles_out) = triple_buffer(&ObstacleTable::new(declared_sources));
     let (commands_in, commands_out) = RingBuffer::new(capacity.commands);
     let (direct_in, direct_out) = RingBuffer::new(capacity.commands);
@@ -287,6 +296,7 @@ pub fn channels(
         ControlInputs {
             encoders: encoders_out,
             target: target_out,
+            tip: tip_out,
             obstacles: obstacles_out,
             commands: commands_out,
             direct: direct_out,
@@ -301,6 +311,7 @@ pub fn channels(
         IoEnds {
             encoders: encoders_in,
             target: target_in,
+            tip: tip_in,
             obstacles: obstacles_in,
             commands: commands_in,
             records: records_out,

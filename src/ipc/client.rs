@@ -2,7 +2,7 @@
 
 use super::IpcError;
 use super::domain::{Domain, Ipc, SET_UP, Session, cause, within};
-use super::payload::{Encoders, Header, Obstacles, Request, RequestKind, Response, State, Target};
+use super::payload::{Encoders, Header, Obstacles, Request, RequestKind, Response, State, Target, Tip};
 use super::ports::{lives, port_error, send, subscribe};
 use super::service::{self, Message};
 use iceoryx2::port::client::Client as RequestPort;
@@ -77,7 +77,7 @@ impl Client {
         IpcError::NoDaemon { arm: self.arm.clone() }
     }
 
-    /// A publisher of encoder states, obstacles or targets under a source id, which is the source's own over restarts.
+    /// A publisher of encoder states, obstacles, targets or measured tips under a source id, which is the source's own over restarts.
     ///
     /// # Errors
     /// [`IpcError::Full`] if the service has no place left.
@@ -103,6 +103,11 @@ impl Client {
 
     /// A publisher of encoder states.
     pub fn encoders(&self, source_id: u32) -> Result<SourcePublisher<Encoders>, IpcError> {
+        self.publisher(source_id)
+    }
+
+    /// A publisher of measured positions of the tip.
+    pub fn tips(&self, source_id: u32) -> Result<SourcePublisher<Tip>, IpcError> {
         self.publisher(source_id)
     }
 

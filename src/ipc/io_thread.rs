@@ -3,7 +3,7 @@
 use super::IpcError;
 use super::by_socket::{BySocket, SocketPort, ToSocket};
 use super::channels::{Command, Event, IoEnds, Reply};
-use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack};
+use super::intake::{EncoderTable, InputLimits, ObstacleTable, TargetTrack, TipTable};
 use super::payload::{
     Header, Obstacles, RefusalReason, RejectCause, Request, RequestKind, Response, SCHEMA_VERSION, State,
     SupervisorState, Target, Verdict, is_speed_scale, speed_text,
@@ -40,6 +40,8 @@ pub struct IoLimits {
     pub target: InputLimits,
     /// Encoders.
     pub encoders: InputLimits,
+    /// Measured tip.
+    pub tip: InputLimits,
 }
 
 /// Sees everything that passes, on the I/O thread: the recorder's place. Must not block.
@@ -134,6 +136,7 @@ pub struct IoThread<T: Tap = ()> {
     obstacles: ObstacleTable,
     target: TargetTrack,
     encoders: EncoderTable,
+    tip: TipTable,
     open: Vec<(Command, u64, Asker)>,
     /// Connections over the arm's socket by which something was published.
     sockets: Vec<SocketPort>,
@@ -159,6 +162,7 @@ impl<T: Tap> IoThread<T> {
             obstacles,
             target,
             encoders,
+            tip: TipTable::default(),
             open,
             sockets: Vec::new(),
             next_ticket: 0,
@@ -273,7 +277,7 @@ impl<T: Tap> IoThread<T> {
     }
 
     fn move_inputs(&mut self, now: &impl Fn() -> u64) -> Result<usize, IpcError> {
-        let Self { ports, ends, limits, obstacles, target, encoders, tap, told, sockets, .. } = self;
+        let Self { ports, ends, limits, obstacles, target, encoders, tip, tap, told, sockets, .. } = self;
         let living = |port: u128| sockets.iter().any(|socket| socket.id == port);
         let taken_obstacles = ports.take_obstacles(|message, port| {
             let replaces = |other| !living(other) && ports.may_replace_obstacles(other, port);
@@ -291,6 +295,13 @@ impl<T: Tap> IoThread<T> {
             ends.target.input_buffer_mut().copy_from(target);
             ends.target.publish();
         }
+        let taken_tips = ports.take_tips(|message, port| {
+            let _ = tip.accept_from(message, port, now(), &limits.tip);
+        })?;
+        if taken_tips > 0 {
+            ends.tip.input_buffer_mut().clone_from(tip);
+            ends.tip.publish();
+        }
         let taken_encoders = ports.take_encoders(|message, port| {
             // Rejections are counted in the table and reported in `State`.
             let _ = encoders.accept_from(message, port, now(), &limits.encoders);
@@ -299,7 +310,7 @@ impl<T: Tap> IoThread<T> {
             ends.encoders.input_buffer_mut().clone_from(encoders);
             ends.encoders.publish();
         }
-        Ok(taken_obstacles + taken_targets + taken_encoders)
+        Ok(taken_obstacles + taken_targets + taken_tips + taken_encoders)
     }
 
     /// What has come over the arm's socket; how much that was.

@@ -2,7 +2,7 @@
 
 use super::IpcError;
 use super::domain::{Domain, Ipc, SET_UP, Session, cause, within};
-use super::payload::{Encoders, Obstacles, Request, Response, State, Target};
+use super::payload::{Encoders, Obstacles, Request, Response, State, Target, Tip};
 use super::service::{self, Message, Topic, service_name};
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
@@ -24,6 +24,7 @@ pub struct DaemonPorts {
     encoders: Subscriber<Ipc, Encoders, ()>,
     obstacles: Subscriber<Ipc, Obstacles, ()>,
     target: Subscriber<Ipc, Target, ()>,
+    tip: Subscriber<Ipc, Tip, ()>,
     state: Publisher<Ipc, State, ()>,
     requests: Server<Ipc, Request, (), Response, ()>,
     obstacle_topic: Topic<Obstacles>,
@@ -67,12 +68,13 @@ impl DaemonPorts {
         let obstacles = subscribe(&obstacle_topic, arm)?;
         let target_topic = service::create(&session, arm)?;
         let target = subscribe(&target_topic, arm)?;
+        let tip = subscribe(&service::create(&session, arm)?, arm)?;
         // Last: by this service clients tell that a daemon is there, and then the others must be.
         let requests = service::create_requests(&session, arm)?.server_builder().create().map_err(|e| match e {
             ServerCreateError::ExceedsMaxSupportedServers => IpcError::AlreadyRunning { arm: arm.to_owned() },
             e => port_error(e, arm, "request", "server"),
         })?;
-        Ok(Self { encoders, obstacles, target, state, requests, obstacle_topic, target_topic, _session: session })
+        Ok(Self { encoders, obstacles, target, tip, state, requests, obstacle_topic, target_topic, _session: session })
     }
 
     /// Every encoder message that waits, each with its port. Returns their number.
@@ -88,6 +90,11 @@ impl DaemonPorts {
     /// Every target message that waits, each with its port. Returns their number.
     pub fn take_targets(&self, take: impl FnMut(&Target, u128)) -> Result<usize, IpcError> {
         drain(&self.target, take)
+    }
+
+    /// Every measured tip that waits, each with its port. Returns their number.
+    pub fn take_tips(&self, take: impl FnMut(&Tip, u128)) -> Result<usize, IpcError> {
+        drain(&self.tip, take)
     }
 
     /// Whether a port of obstacles is gone, or belongs to the process that another one belongs to (0: to no other).

@@ -2,7 +2,7 @@
 
 use super::IpcError;
 use super::domain::{Ipc, Session};
-use super::payload::{Encoders, Header, Obstacles, Request, Response, SCHEMA_VERSION, State, Target};
+use super::payload::{Encoders, Header, Obstacles, Request, Response, SCHEMA_VERSION, State, Target, Tip};
 use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
@@ -54,6 +54,7 @@ macro_rules! message {
 message!(Encoders, "encoders", 4, 8);
 message!(Obstacles, "obstacles", 16, 8);
 message!(Target, "target", 4, 8);
+message!(Tip, "tip", 4, 8);
 message!(State, "state", 1, 16);
 
 /// Full name of one of an arm's services.

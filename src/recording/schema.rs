@@ -189,6 +189,9 @@ impl Fields for State {
         sink.numbers("fault_values", &self.fault_values);
         sink.u32("fault_flags", self.fault_flags);
         sink.messages("alarms", first(&self.alarms, self.alarm_count));
+        sink.message("tip_report", &self.tip_report);
+        sink.array("tip_measured_m", &self.tip_measured_m);
+        sink.array("tip_bias_m", &self.tip_bias_m);
     }
 }
 

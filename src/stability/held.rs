@@ -253,6 +253,7 @@ impl Held {
             tensions_measured_n: &[],
             obstacles: &self.obstacles,
             demand: ObstacleDemand::Proceed,
+            tip: None,
             target: self.target,
             drives: DrivesInput { phase: self.drives, ready: true, fault: None, bus_lost: None, emergency_stop: None },
             request,

@@ -266,6 +266,7 @@ impl<P: Plan> Rig<P> {
             tensions_measured_n: &[],
             obstacles: &self.obstacles,
             demand: self.demand,
+            tip: None,
             target: self.target,
             drives: self.drives,
             request,

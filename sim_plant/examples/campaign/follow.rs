@@ -2,7 +2,7 @@
 
 use crate::{Args, World, each_seed};
 use nalgebra::{Vector3, Vector4};
-use sim_plant::bench::Bench;
+use sim_plant::bench::{Bench, TipMeter};
 use sim_plant::follow::target;
 use sinew::collision::{Body, BodyGeometry};
 use sinew::config::{BodyModel, ScenarioConfig, Task};
@@ -29,6 +29,7 @@ fn one(args: &Args, name: &str, duration: Option<f64>, trace: Option<&Path>, see
         true => Bench::at_start_of(&scenario, &config, &truth).expect("a start"),
         false => Bench::new(&config, &Settings::new(&config), &truth),
     };
+    bench.tip_sensor = args.tip_sensor.map(TipMeter::tracker);
     bench.insert(&scenario.obstacles).expect("obstacles");
     if let Err(why) = bench.arm(60.0) {
         return format!("not armed: {why}");

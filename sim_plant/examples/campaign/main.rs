@@ -39,6 +39,9 @@ struct Args {
     /// Latency of the true arm in ticks, and what the controller is told.
     #[arg(long, global = true, default_value_t = 0)]
     latency: usize,
+    /// A sensor of the tip with this standard deviation (m): 50 measurements a second, 30 ms old.
+    #[arg(long, global = true)]
+    tip_sensor: Option<f64>,
     /// Settings to change, for studies: `tb=1.0`, ...
     #[arg(long, global = true)]
     set: Vec<String>,

@@ -2,7 +2,7 @@
 
 use crate::{Args, World, each_seed};
 use nalgebra::{Vector3, Vector4};
-use sim_plant::bench::Bench;
+use sim_plant::bench::{Bench, TipMeter};
 use sim_plant::poses::{Pose, Shown, random, show};
 use sinew::config::Config;
 use sinew::control::Settings;
@@ -38,6 +38,7 @@ pub(crate) fn run(args: &Args, watch: f64, shapes: bool, chain: bool, pose: &[f6
         let World { config, truth } = args.world(seed);
         let settings = Settings::new(&config);
         let mut bench = Bench::new(&config, &settings, &truth);
+        bench.tip_sensor = args.tip_sensor.map(TipMeter::tracker);
         let armed = bench.arm(60.0);
         (config, bench, armed)
     };

@@ -140,6 +140,7 @@ impl Frame {
         let since_s = |ns: u64| state.time_s - state.header.capture_ns.saturating_sub(ns) as f64 * 1e-9;
         let obstacle_sources = state.obstacle_sources.iter().filter(|s| is_used(s)).map(|s| source("obstacles", s));
         let inputs = [("encoders", &state.encoder_report), ("target", &state.target_report)];
+        let tip = is_used(&state.tip_report).then_some(("tip sensor", &state.tip_report));
         Self {
             t: state.time_s,
             tick: state.header.tick,
@@ -169,7 +170,12 @@ impl Frame {
             limits: Limit::ALL.iter().map(|l| l.code()).filter(|c| state.limits >> (c - 100) & 1 == 1).collect(),
             fault: fault_status(state, names),
             alarms: alarms.map(|a| (a.code, a.subject, since_s(a.since_ns))).collect(),
-            sources: inputs.into_iter().map(|(name, report)| source(name, report)).chain(obstacle_sources).collect(),
+            sources: inputs
+                .into_iter()
+                .chain(tip)
+                .map(|(name, report)| source(name, report))
+                .chain(obstacle_sources)
+                .collect(),
         }
     }
 }

@@ -28,6 +28,7 @@ use super::supervisor::{
     Action, Answer, Decision, DrivesCommand, DrivesInput, DrivesPhase, Mode, Observed, Progress, Request, Supervisor,
 };
 use super::target::{TargetInput, lag_s};
+use super::tip_sensor::{TipReading, TipSensor};
 use super::{CABLES_MAX, CURVATURES_MAX, EventRing};
 use crate::collision::{Body, BodyGeometry};
 use crate::model::{Arm, State};
@@ -96,6 +97,8 @@ pub struct TickInputs<'a> {
     pub obstacles: &'a ObstaclePair,
     /// What the obstacle inputs ask for.
     pub demand: ObstacleDemand,
+    /// The newest measured tip, if something measures it.
+    pub tip: Option<TipReading>,
     /// Target, if there is one.
     pub target: Option<TargetInput>,
     /// Drives.
@@ -128,6 +131,7 @@ pub struct Cycle<E, P = Planner> {
     tensions: TensionGuard,
     friction: FrictionCompensation,
     supervision: Supervision,
+    tip_sensor: TipSensor,
     ramp: Ramp,
     body: Body,
     period_ns: u64,
@@ -219,6 +223,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
                 settings.observer.latency_ticks,
                 ((latency_s + planning.lookahead_s + lag_s) / period_s).round() as usize,
             ),
+            tip_sensor: TipSensor::new(&settings.tip_sensor, period_s),
             ramp: Ramp::new(cables, settings.timing.ramp_s),
             // The rows of a search are the planner's business; measuring needs none.
             body: Body::with_capacity(&BodyGeometry::from_arm(&settings.arm), planning.body, planning.body_radius_m, 1),
@@ -342,6 +347,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
 
         let before = (self.supervisor.mode(), self.supervisor.is_planning());
         self.measure_curvatures();
+        self.measure_tip(inputs, periods, &mut limits);
         let verdict = self.supervise(inputs, periods, &mut faults);
         limits.0 |= verdict.limits.0;
         let seen = self.observed(inputs, faults, progress, verdict.hold);

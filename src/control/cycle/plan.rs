@@ -71,7 +71,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let around = self.settings.planner.avoidance.then_some(&around);
         let period_s = self.settings.timing.period_s;
         let q = &self.estimator.predicted().q;
-        self.governor.see_tip(self.supervision.tip_beside_m());
+        let (lasting_m, lacks_m) = (self.tip_sensor.bias_m(), self.tip_sensor.difference_m());
+        self.governor.see_tip(self.supervision.tip_beside_m(), lasting_m, lacks_m);
         self.governor.set_swing(self.supervision.swing_m());
         self.governor.advance(period_s, &wish, q, &self.curvatures[..count], around);
         if self.governor.is_blocked() {

@@ -23,6 +23,8 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         r.mode = self.supervisor.mode();
         r.fault = self.supervisor.latch().first;
         r.fault_count = self.supervisor.latch().count;
+        r.tip_measured_m = inputs.tip.map_or([f64::NAN; 3], |tip| tip.position_m.into());
+        r.tip_bias_m = self.tip_sensor.bias_m().into();
         r.swing_m = self.supervision.swing_m();
         r.tip_covariance_m2 = self.governor.covariance().tip().map_or([f64::NAN; 9], |p| {
             let mut rows = [0.0; 9];

@@ -2,11 +2,26 @@
 
 use super::{Cycle, Plan, TickInputs};
 use crate::control::estimator::Estimator;
-use crate::control::fault::FaultList;
+use crate::control::fault::{FaultList, Limit, Limits};
 use crate::control::supervision::{SLOW_PACE, Seen, Verdict};
 use crate::control::supervisor::Mode;
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
+    /// What a tip sensor says of the estimate.
+    pub(super) fn measure_tip(&mut self, inputs: &TickInputs<'_>, periods: u32, limits: &mut Limits) {
+        if !self.observing {
+            self.tip_sensor.restart();
+            return;
+        }
+        let h = f64::from(periods) * self.settings.timing.period_s;
+        let state = self.estimator.state();
+        let tip = self.arm.tip(&state.q, &state.qd).position;
+        self.tip_sensor.follow(h, &tip, inputs.encoders.capture_ns, inputs.tip.as_ref(), inputs.now_ns);
+        if self.tip_sensor.doubted_m().is_some() {
+            limits.insert(Limit::TipDoubted);
+        }
+    }
+
     /// Watches motion, tensions and cables while the loop plans, also on the way up and down.
     pub(super) fn supervise(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Verdict {
         let stops = matches!(self.supervisor.mode(), Mode::Stopping | Mode::Faulted);
@@ -23,6 +38,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         let seen = Seen {
             h: f64::from(periods) * self.settings.timing.period_s,
             tip: tip.position,
+            unseen: self.tip_sensor.difference_m(),
             reference_tip: self.governor.reference_tip(),
             tip_speed_mps: tip.velocity.norm(),
             curvatures: &self.curvatures[..count],

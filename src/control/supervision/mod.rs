@@ -34,6 +34,8 @@ pub struct Seen<'a> {
     pub h: f64,
     /// Estimated position of the tip (m).
     pub tip: Vector3<f64>,
+    /// What the estimate lacks of the tip (m), where that is measured.
+    pub unseen: Option<Vector3<f64>>,
     /// The reference's (m).
     pub reference_tip: Vector3<f64>,
     /// Speed of the tip (m/s).
@@ -159,7 +161,7 @@ impl Supervision {
             verdict.answer(s.bend_rate_answer, Limit::BendRate, Fault::BendRate { rate_radps: rate }, faults);
         }
         let shown_m;
-        (shown_m, self.swing_m) = self.swing.follow(seen.h, &seen.tip, &seen.reference_tip);
+        (shown_m, self.swing_m) = self.swing.follow(seen.h, &seen.tip, seen.unseen.as_ref(), &seen.reference_tip);
         if self.swing_m > s.swing_m {
             verdict.answer(s.swing_answer, Limit::Swinging, Fault::Swinging { swing_m: self.swing_m }, faults);
         }

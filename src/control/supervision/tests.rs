@@ -22,6 +22,7 @@ fn answered(
         let seen = Seen {
             h: H,
             tip: shown.tip,
+            unseen: None,
             reference_tip: Vector3::new(0.0, 0.0, -2.75),
             tip_speed_mps: shown.speed,
             curvatures: &[0.0; 8],

@@ -9,11 +9,13 @@ mod encoders;
 mod obstacles;
 mod source;
 mod target;
+mod tip;
 
 pub use encoders::*;
 pub use obstacles::*;
 pub use source::*;
 pub use target::*;
+pub use tip::*;
 
 /// Thresholds of the intake; one set each for obstacles, targets and encoders.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -14,6 +14,7 @@ mod obstacles;
 mod request;
 mod state;
 mod target;
+mod tip;
 
 pub use codes::*;
 pub use encoders::*;
@@ -21,6 +22,7 @@ pub use obstacles::*;
 pub use request::*;
 pub use state::*;
 pub use target::*;
+pub use tip::*;
 
 use iceoryx2::prelude::ZeroCopySend;
 

@@ -199,6 +199,12 @@ pub struct State {
     pub alarm_count: u32,
     /// Alarms that are on, as of a tenth of a second ago at most.
     pub alarms: [AlarmRecord; MAX_ALARMS],
+    /// Measured tip.
+    pub tip_report: SourceReport,
+    /// Measured position of the tip (m), base frame; NaN where none is fresh.
+    pub tip_measured_m: [f64; 3],
+    /// What lasts of measured less estimated tip (m), base frame: taken off the tip targets; 0 without a sensor.
+    pub tip_bias_m: [f64; 3],
 }
 
 impl Default for State {
@@ -262,6 +268,9 @@ impl Default for State {
             fault_flags: 0,
             alarm_count: 0,
             alarms: [AlarmRecord::default(); MAX_ALARMS],
+            tip_report: SourceReport::default(),
+            tip_measured_m: [f64::NAN; 3],
+            tip_bias_m: [0.0; 3],
         }
     }
 }
