@@ -16,6 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parent / "src" / "ipc" / "PAYLOADS.md"
 OUTPUT = HERE / "src" / "sinew_arm" / "payloads.py"
+HEADER = HERE.parent / "include" / "sinew_payloads.h"
 WIDTH = 120
 
 SCALARS = {
@@ -226,9 +227,72 @@ def ctype(row: Field) -> str:
     return name
 
 
-def write() -> str:
-    """The module."""
-    version, payloads, codes = read(SOURCE.read_text(encoding="utf-8"))
+def snake(name: str) -> str:
+    """`ObstacleDistance` as `obstacle_distance`."""
+    return constant(name).lower()
+
+
+def comment(text: str, indent: str) -> list[str]:
+    """A comment of C before what it is about."""
+    lines = textwrap.wrap(plain(text), WIDTH - len(indent) - 6)
+    return [f"{indent}/* {lines[0]}", *(f"{indent} * {line}" for line in lines[1:])]
+
+
+def c_lines(text: str, indent: str) -> list[str]:
+    lines = comment(text, indent)
+    return [*lines[:-1], f"{lines[-1]} */"]
+
+
+def write_header(version: int, payloads: list[Payload], codes: list[Code]) -> str:
+    """The header of C."""
+    kinds = {"u8": "uint8_t", "u32": "uint32_t", "u64": "uint64_t", "f64": "double"}
+    out = [
+        "/* What lies in shared memory: payloads and codes.",
+        " *",
+        " * Made by `python/generate.py` from `src/ipc/PAYLOADS.md`; not to be edited. For C11 and C++11, little-endian.",
+        " * A field that stands for a code is a plain number, since anybody can write any.",
+        " */",
+        "#ifndef SINEW_PAYLOADS_H",
+        "#define SINEW_PAYLOADS_H",
+        "",
+        "#include <stddef.h>",
+        "#include <stdint.h>",
+        "",
+        "#ifdef __cplusplus",
+        "#define SINEW_ASSERT(what) static_assert(what, #what)",
+        "#else",
+        "#define SINEW_ASSERT(what) _Static_assert(what, #what)",
+        "#endif",
+        "",
+        "/* Version of all payloads. */",
+        f"#define SINEW_SCHEMA_VERSION {version}u",
+        "/* `tick` in a header of what belongs to no tick. */",
+        "#define SINEW_NO_TICK UINT64_MAX",
+        "/* `flags` of `sinew_obstacles`: the source ends in order. */",
+        "#define SINEW_FLAG_LEAVING 1u",
+    ]
+    for code in codes:
+        out += ["", *c_lines(code.meaning, ""), "enum {"]
+        for number, variant, meaning in code.values:
+            out += c_lines(meaning, "    ")
+            out.append(f"    SINEW_{constant(code.name)}_{constant(variant)} = {number},")
+        out[-1] = out[-1].rstrip(",")
+        out.append("};")
+    for payload in payloads:
+        name = f"struct sinew_{snake(payload.name)}"
+        out += ["", f'#define SINEW_{constant(payload.name)}_TYPE_NAME "sinew.{payload.name}.v{version}"', f"{name} {{"]
+        for row in payload.fields:
+            base, shape = dimensions(row.type)
+            kind = kinds.get(base) or f"struct sinew_{snake(base)}"
+            out += c_lines(with_unit(row, None), "    ")
+            out.append(f"    {kind} {row.name}{''.join(f'[{n}]' for n in shape)};")
+        out += ["};", f"SINEW_ASSERT(sizeof({name}) == {payload.size});"]
+        out += [f"SINEW_ASSERT(offsetof({name}, {row.name}) == {row.offset});" for row in payload.fields]
+    return "\n".join([*out, "", "#endif", ""])
+
+
+def write_module(version: int, payloads: list[Payload], codes: list[Code]) -> str:
+    """The module of Python."""
     out = [
         '"""What lies in shared memory: payloads and codes.',
         "",
@@ -290,14 +354,16 @@ def write() -> str:
 
 def main() -> int:
     """Writes, or checks."""
-    wanted = write()
-    if "--check" in sys.argv[1:]:
-        if not OUTPUT.is_file() or OUTPUT.read_text(encoding="utf-8") != wanted:
-            print(f"{OUTPUT} is not what {SOURCE.name} says: run python/generate.py", file=sys.stderr)
-            return 1
-        return 0
-    OUTPUT.write_text(wanted, encoding="utf-8")
-    return 0
+    read_page = read(SOURCE.read_text(encoding="utf-8"))
+    stale = 0
+    for output, wanted in ((OUTPUT, write_module(*read_page)), (HEADER, write_header(*read_page))):
+        if "--check" not in sys.argv[1:]:
+            output.parent.mkdir(exist_ok=True)
+            output.write_text(wanted, encoding="utf-8")
+        elif not output.is_file() or output.read_text(encoding="utf-8") != wanted:
+            print(f"{output} is not what {SOURCE.name} says: run python/generate.py", file=sys.stderr)
+            stale = 1
+    return stale
 
 
 if __name__ == "__main__":

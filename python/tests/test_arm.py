@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path as FilePath
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 
 import sinew_arm as sinew
-from conftest import Start
+from conftest import CONFIG, Start
 from sinew_arm import (
     Arm,
     AsyncArm,
@@ -371,3 +374,35 @@ def test_in_real_time_a_watch_keeps_the_arm_awake(start: Start) -> None:
             reports = {report.source_id: report for report in state.obstacle_sources}
             assert reports[2].health is SourceHealth.FRESH
         arm.disarm()
+
+
+ORPHAN = """
+import os, sys, time
+from pathlib import Path
+from sinew_arm import SimulatedArm
+
+arm = SimulatedArm([Path(name) for name in sys.argv[1:]])
+print(arm.folder, *(process.pid for _, process, _ in arm._processes), flush=True)
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_simulated_arm_ends_with_its_starter_and_leaves_nothing(simulated: SimulatedArm) -> None:
+    command = [sys.executable, "-c", ORPHAN, *map(str, CONFIG)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    folder, *pids = ran.stdout.split()
+    assert len(pids) == 2, ran.stderr
+    deadline = time.monotonic() + 10
+    while any(FilePath("/proc", pid).exists() for pid in pids):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    shutil.rmtree(folder)
+    mark = simulated.folder.name[len("sinew-py-") :]
+
+    def left() -> list[FilePath]:
+        return [path for path in FilePath("/dev/shm").iterdir() if mark in path.name]
+
+    assert left()
+    simulated.close()
+    assert not left()
+    assert not simulated.folder.exists()

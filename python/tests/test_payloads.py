@@ -26,19 +26,29 @@ def test_the_module_is_what_the_page_says() -> None:
     assert checked.returncode == 0, checked.stderr
 
 
-def test_a_stale_module_is_told(tmp_path: Path) -> None:
-    page = GENERATOR.parent.parent / "src" / "ipc" / "PAYLOADS.md"
-    (tmp_path / "src" / "ipc").mkdir(parents=True)
-    (tmp_path / "python" / "src" / "sinew_arm").mkdir(parents=True)
-    (tmp_path / "python" / "generate.py").write_bytes(GENERATOR.read_bytes())
-    changed = page.read_text().replace("Time since the loop began (s).", "Time since some beginning (s).")
-    (tmp_path / "src" / "ipc" / "PAYLOADS.md").write_text(changed)
-    stale = Path(payloads.__file__).read_bytes()
-    (tmp_path / "python" / "src" / "sinew_arm" / "payloads.py").write_bytes(stale)
-    command = [sys.executable, str(tmp_path / "python" / "generate.py"), "--check"]
-    checked = subprocess.run(command, capture_output=True, text=True, check=False)
+def test_what_is_stale_is_told(tmp_path: Path) -> None:
+    root = GENERATOR.parent.parent
+    copied = [
+        "src/ipc/PAYLOADS.md",
+        "include/sinew_payloads.h",
+        "python/generate.py",
+        "python/src/sinew_arm/payloads.py",
+    ]
+    for name in copied:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes((root / name).read_bytes())
+
+    def check() -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, str(tmp_path / "python" / "generate.py"), "--check"]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert check().returncode == 0
+    page = tmp_path / "src/ipc/PAYLOADS.md"
+    page.write_text(page.read_text().replace("Time since the loop began (s).", "Time since some beginning (s)."))
+    checked = check()
     assert checked.returncode == 1
-    assert "run python/generate.py" in checked.stderr
+    for name in ("payloads.py", "sinew_payloads.h"):
+        assert f"{name} is not what PAYLOADS.md says: run python/generate.py" in checked.stderr
 
 
 @pytest.mark.parametrize("kind", LAYOUT, ids=lambda kind: kind.__name__)

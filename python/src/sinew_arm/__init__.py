@@ -5,6 +5,7 @@ from __future__ import annotations
 from ._motion import Track
 from .aio import AsyncArm
 from .client import Arm
+from .design import plan, simulate
 from .domain import Domain
 from .errors import (
     FaultError,
@@ -60,8 +61,10 @@ __all__ = [
     "encoder_state",
     "half_space",
     "obstacle_set",
+    "plan",
     "request",
     "shape_target",
+    "simulate",
     "tip_target",
 ]
 

@@ -43,6 +43,8 @@ def find_program(name: str, programs: str | os.PathLike[str] | None = None) -> P
 class SimulatedArm:
     """`sim_plant` and `sinew run` on a virtual bus and in shared memory of their own. A context manager.
 
+    However their starter ends, they end with it: with the very thread that made this.
+
     Attributes:
         name: Name of the arm.
         domain: Where its daemon is found, as `Arm(name, domain=domain)` takes it.
@@ -78,6 +80,7 @@ class SimulatedArm:
         """
         self.folder = Path(tempfile.mkdtemp(prefix="sinew-py-"))
         self._processes: list[tuple[str, subprocess.Popen[bytes], IO[bytes]]] = []
+        self._buses: list[str] = []
         mark = self.folder.name[len("sinew-py-") :]
         self.domain = Domain(f"sinewpy{mark}_", f"{self.folder}/ipc/", f"{self.folder}/run")
         try:
@@ -104,15 +107,15 @@ class SimulatedArm:
     def close(self, *, keep: bool = False) -> None:
         """Ends both, at once, and removes the folder unless it is to be kept."""
         for _, process, _ in self._processes:
-            if process.poll() is None:
-                # What it leaves in shared memory is removed below.
-                process.kill()
+            # What it leaves in shared memory is removed below.
+            process.kill()
             process.wait()
         for _, _, output in self._processes:
             output.close()
         self._processes.clear()
-        for left in _SHARED_MEMORY.glob(f"{self.domain.prefix}*"):
-            left.unlink(missing_ok=True)
+        for name in (f"{self.domain.prefix}*", *(f"sinew-bus-{bus}*" for bus in self._buses)):
+            for left in _SHARED_MEMORY.glob(name):
+                left.unlink(missing_ok=True)
         if not keep:
             shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -128,15 +131,13 @@ class SimulatedArm:
 
     def _configure(self, config: Sequence[str | os.PathLike[str]], mark: str) -> list[str]:
         files = []
-        buses = 0
         texts = [Path(path).read_text(encoding="utf-8") for path in config]
         names = [re.search(r'^name = "([^"]+)"', text, re.MULTILINE) for text in texts if "[arm]" in text]
         self.name = next((name.group(1) for name in names if name), "")
 
         def bus(_: re.Match[str]) -> str:
-            nonlocal buses
-            buses += 1
-            return f'interface = "py{mark}{buses}"'
+            self._buses.append(f"py{mark}{len(self._buses)}")
+            return f'interface = "{self._buses[-1]}"'
 
         for number, given in enumerate(texts):
             if re.search(r"^\[ipc\]", given, re.MULTILINE):
@@ -160,8 +161,10 @@ class SimulatedArm:
         record: bool,
         start_s: float,
     ) -> None:
-        plant = [str(find_program("sim_plant", programs)), *plant_arguments]
-        daemon = [str(find_program("sinew", programs)), "run", *arguments]
+        sinew = str(find_program("sinew", programs))
+        leash = [sinew, "leash", str(os.getpid()), "--"]
+        plant = [*leash, str(find_program("sim_plant", programs)), *plant_arguments]
+        daemon = [*leash, sinew, "run", *arguments]
         if lockstep:
             plant.append("--lockstep")
             daemon.append("--lockstep")
