@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path as FilePath
 
@@ -69,7 +69,6 @@ def clear(arm: Arm) -> None:
 def test_an_arm_is_armed_follows_a_path_holds_fails_and_is_cleared(arm: Arm, watch: Watch) -> None:
     assert arm.arm() is SupervisorState.HOLDING
     track = arm.track(bow(), approach_s=1.0)
-    assert isinstance(track, sinew.Track)
     rows = len(track.times_s)
     assert track.tension_n.shape == (rows, 24)
     assert track.tip_position_m.shape == track.target_position_m.shape == (rows, 3)
@@ -137,7 +136,6 @@ def test_a_target_is_followed_and_a_shape_too(arm: Arm, watch: Watch) -> None:
         if abs(state.curvature_1pm[6] - 0.3) < 0.02:
             break
     track = arm.track(Path.of_shape([0, 2], np.stack([curvatures, 0 * curvatures])), approach_s=0.5)
-    assert isinstance(track, sinew.Track)
     assert np.isnan(track.tip_error_m).all()
     assert abs(track.curvature_1pm[-1, 6]) < 0.1
     assert np.nanmax(track.curvature_error_1pm) < 0.2
@@ -148,11 +146,12 @@ def test_a_target_is_followed_and_a_shape_too(arm: Arm, watch: Watch) -> None:
 
 def test_whoever_is_stopped_by_somebody_else_is_told(arm: Arm, watch: Watch) -> None:
     arm.arm()
-    other = threading.Timer(0.3, lambda: Arm(arm.name, domain=arm.domain).hold(wait_s=None))
-    other.start()
-    with pytest.raises(InterruptedMotionError, match="the arm is holding, not tracking") as caught:
-        arm.track(bow(duration_s=200.0), approach_s=1.0)
-    other.join()
+    with Arm(arm.name, domain=arm.domain) as other:
+        words = "the arm is holding, not tracking"
+        with pytest.raises(InterruptedMotionError, match=words) as caught:  # noqa: PT012 - at one of the next records
+            for count, _ in enumerate(arm.tracking(bow(duration_s=200.0))):
+                if count == 5:
+                    other.hold(wait_s=None)
     assert caught.value.supervisor is SupervisorState.HOLDING
     watch.check()
 
@@ -312,6 +311,19 @@ def test_shared_memory_of_others_is_not_touched(simulated: SimulatedArm) -> None
             arm.state()
 
 
+def test_who_has_the_turn_is_waited_for_and_not_for_ever(simulated: SimulatedArm) -> None:
+    assert simulated.domain.run_dir is not None
+    with (
+        Arm(simulated.name, domain=simulated.domain) as arm,
+        FilePath(simulated.domain.run_dir, "turn").open("w") as turn,
+    ):
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        begin = time.monotonic()
+        with pytest.raises(TimedOutError):
+            arm.state(timeout_s=0.01)
+        assert 0.5 <= time.monotonic() - begin < 5
+
+
 def test_the_same_in_an_event_loop(simulated: SimulatedArm) -> None:
     async def drive() -> tuple[sinew.Track, int]:
         async with AsyncArm(simulated.name, domain=simulated.domain) as arm:
@@ -329,7 +341,6 @@ def test_the_same_in_an_event_loop(simulated: SimulatedArm) -> None:
                 other = asyncio.ensure_future(beat())
                 track = await arm.track(bow(), approach_s=1.0)
                 other.cancel()
-                assert isinstance(track, sinew.Track)
                 assert await arm.hold() is SupervisorState.HOLDING
                 with pytest.raises(FaultError, match="emergency"):  # noqa: PT012 - it is told at one of the next records
                     pressed = False

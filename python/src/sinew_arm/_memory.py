@@ -56,7 +56,8 @@ class Session:
             builder = iox2.NodeBuilder.new().name(iox2.NodeName.new("sinew python client"))
             # Signals stay Python's, so that Ctrl-C raises KeyboardInterrupt.
             builder = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).config(config)
-            self._node: Any = builder.create(iox2.ServiceType.Ipc)
+            with domain.turn(arm):
+                self._node: Any = builder.create(iox2.ServiceType.Ipc)
         except Exception as error:
             raise UnusableError(f"shared memory cannot be used: {error}") from error
 

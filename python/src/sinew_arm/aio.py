@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, Any, Callable
+from typing import TYPE_CHECKING, Any, Callable, overload
 
 from . import _line
 from ._motion import Following, Track, Wait, check
@@ -65,6 +65,12 @@ class AsyncArm:
                     raise
                 await asyncio.sleep(AGAIN_S)
         return mode if wait_s is None else await self._wait(ARMING, wait_s)
+
+    @overload
+    async def track(self, what: Path, *, source_id: int = 0x5059, approach_s: float = 4.0) -> Track: ...
+
+    @overload
+    async def track(self, what: Target | None = None) -> SupervisorState: ...
 
     async def track(
         self, what: Path | Target | None = None, *, source_id: int = 0x5059, approach_s: float = 4.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from typing import TYPE_CHECKING, Any, Callable, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Callable, TypeVar, Union, overload
 
 from . import _line, _memory, _words
 from ._motion import Following, Track, Wait, check
@@ -120,6 +120,12 @@ class Arm:
                     raise
                 time.sleep(AGAIN_S)
         return mode if wait_s is None else self._wait(ARMING, wait_s)
+
+    @overload
+    def track(self, what: Path, *, source_id: int = 0x5059, approach_s: float = 4.0) -> Track: ...
+
+    @overload
+    def track(self, what: Target | None = None) -> SupervisorState: ...
 
     def track(
         self, what: Path | Target | None = None, *, source_id: int = 0x5059, approach_s: float = 4.0

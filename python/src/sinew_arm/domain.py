@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import stat
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import NoDaemonError, NotPermittedError
 
+# Longest wait for one's turn.
+_TURN_S = 0.5
 _DEFAULT_PREFIX = "iox2_"
 _DEFAULT_ROOT = "/tmp/iceoryx2/"  # noqa: S108 - iceoryx2's own
 
@@ -78,6 +84,31 @@ class Domain:
         for uid in users:
             folders += [(Path(f"/run/user/{uid}/sinew"), uid), (Path(f"/tmp/sinew-{uid}"), uid)]  # noqa: S108
         return folders
+
+    @contextlib.contextmanager
+    def turn(self, arm: str) -> Iterator[None]:
+        """Holds this user's other processes off while something is made in shared memory, or leftovers are removed.
+
+        Where the turn cannot be had, or not in time, all goes on without: it keeps a rare collision away.
+        """
+        file = -1
+        try:
+            folder = self.sockets(arm)[0].parent.parent
+            file = os.open(folder / "turn", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+            deadline = time.monotonic() + _TURN_S
+            while time.monotonic() < deadline:
+                with contextlib.suppress(BlockingIOError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(2e-3)
+        except (OSError, IndexError, NotPermittedError):
+            # No daemon, or another user's folder.
+            pass
+        try:
+            yield
+        finally:
+            if file >= 0:
+                os.close(file)
 
     def check_memory(self, arm: str) -> None:
         """Refuses shared memory that is not this user's: what a process of another user leaves there, the daemon waits for.
