@@ -77,6 +77,27 @@ def user(domain: Domain, arm: str) -> int:
     return int(uid)
 
 
+class HungUpError(UnusableError):
+    """The daemon hangs up without an answer: it ends, or too many ask at once."""
+
+
+def report(domain: Domain, arm: str, timeout_s: float) -> Any:
+    """The daemon's report; where it has no time for it, it is asked again.
+
+    Raises:
+        SinewError: As `ask`.
+
+    """
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return ask(domain, arm, "status", timeout_s)
+        except HungUpError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
+
+
 def ask(domain: Domain, arm: str, text: str, timeout_s: float) -> Any:
     """Says a line and understands the answer; what only stops is said to every daemon of the arm, before an answer is read.
 
@@ -119,6 +140,8 @@ def _read(line: socket.socket, arm: str, deadline: float, timeout_s: float) -> b
             part = b""
         except socket.timeout:
             raise TimedOutError(f'the daemon of arm "{arm}" did not answer within {timeout_s} s') from None
+        if not part and not parts:
+            raise HungUpError(f'the daemon of arm "{arm}" hung up without an answer')
         if not part:
             return b"".join(parts)
         parts.append(part)

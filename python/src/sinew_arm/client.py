@@ -212,7 +212,7 @@ class Arm:
 
     def status(self) -> dict[str, Any]:
         """The daemon's report: the object of `sinew status --json`."""
-        return dict(_line.ask(self.domain, self.name, "status", self.timeout_s))
+        return dict(_line.report(self.domain, self.name, self.timeout_s))
 
     # Records.
 
