@@ -156,6 +156,29 @@ def test_whoever_is_stopped_by_somebody_else_is_told(arm: Arm, watch: Watch) -> 
     watch.check()
 
 
+def test_in_lockstep_time_waits_for_who_follows_a_path(arm: Arm, watch: Watch) -> None:
+    arm.arm()
+    ticks = []
+    for state in arm.tracking(bow(duration_s=1.0), approach_s=0.0):
+        ticks.append(state.header.tick)
+        if len(ticks) == 10:
+            # Arm time of many seconds, if it did not wait.
+            time.sleep(1.0)
+        if len(ticks) == 20:
+            # Who waits for a mode in the loop's body is not waited for.
+            assert arm.speed(1.0) is SupervisorState.TRACKING
+            later = arm.state().header.tick
+            assert later > state.header.tick
+            ticks.append(later)
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+    assert len(ticks) > 100
+    # Nobody is waited for any more.
+    before = arm.state().header.tick
+    time.sleep(0.5)
+    assert arm.state().header.tick > before + 10
+    watch.check()
+
+
 def test_obstacles_arrive_as_they_were_sent(arm: Arm, watch: Watch) -> None:
     ball = sinew.ball(7, (0.5, 0.0, -1.0), 0.1)
     wall = sinew.half_space(8, (-2.0, 0.0, 0.0), (1.0, 0.0, 0.0))
@@ -342,6 +365,13 @@ def test_the_same_in_an_event_loop(simulated: SimulatedArm) -> None:
                 track = await arm.track(bow(), approach_s=1.0)
                 other.cancel()
                 assert await arm.hold() is SupervisorState.HOLDING
+                ticks = []
+                async for state in arm.tracking(bow(duration_s=0.5), approach_s=0.0):
+                    ticks.append(state.header.tick)
+                    if len(ticks) == 10:
+                        await asyncio.sleep(0.5)
+                        ticks.append((await arm.state()).header.tick)
+                assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
                 with pytest.raises(FaultError, match="emergency"):  # noqa: PT012 - it is told at one of the next records
                     pressed = False
                     async for _ in arm.tracking(bow()):

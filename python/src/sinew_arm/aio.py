@@ -133,11 +133,14 @@ class AsyncArm:
         """Records of the loop."""
         port = self._arm.state_port()
         begin = looked = time.monotonic()
+        self._arm.gate.done(self._arm.last_tick)
         while True:
             state = port.receive()
             now = time.monotonic()
             if state is not None:
+                self._arm.last_tick = state.header.tick
                 yield state
+                self._arm.gate.done(self._arm.last_tick)
                 begin = looked = time.monotonic()
                 # Others have their turn, however fast records come.
                 await asyncio.sleep(0)
@@ -204,7 +207,7 @@ class AsyncArm:
     async def _follow(self, following: Following, source_id: int) -> AsyncIterator[State]:
         await self.set_target(following.first())
         await self._ask("track")
-        with self.targets(source_id) as source:
+        with self._arm.gate.closed(), self.targets(source_id) as source:
             async for state in self.states(timeout_s=30.0):
                 await self._check(state, following.wait)
                 now_s = following.now_s(state)

@@ -13,7 +13,7 @@ from .domain import Domain, no_daemon
 from .errors import NoDaemonError, RefusedError, SinewError, TimedOutError
 from .paths import Path
 from .payloads import Encoders, Obstacles, RefusalReason, Request, Response, State, SupervisorState, Target
-from .sources import Seen, Source, Watch
+from .sources import Gate, Seen, Source, Watch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +62,8 @@ class Arm:
         self._session: _memory.Session | None = None
         self._states: _memory.Subscriber[State] | None = None
         self._requests: _memory.Requester | None = None
+        self.gate = Gate()
+        self.last_tick: int | None = None
         _memory.quiet()
         _line.connect(self.domain, name, timeout_s).close()
 
@@ -291,7 +293,7 @@ class Arm:
 
             return source, states, done
 
-        return Watch(make, lambda: _line.is_there(self.domain, self.name), seen, 1.0 / rate_hz)
+        return Watch(make, lambda: _line.is_there(self.domain, self.name), seen, 1.0 / rate_hz, self.gate)
 
     # Inside.
 
@@ -322,6 +324,7 @@ class Arm:
 
     def _next(self, port: _memory.Subscriber[State], timeout_s: float | None) -> State:
         begin = looked = time.monotonic()
+        self.gate.done(self.last_tick)
         while (state := port.receive()) is None:
             now = time.monotonic()
             if now - looked > _LOOK_S:
@@ -331,6 +334,7 @@ class Arm:
             if timeout_s is not None and now - begin > timeout_s:
                 raise TimedOutError(f'the daemon of arm "{self.name}" made no tick within {timeout_s} s')
             time.sleep(_POLL_S)
+        self.last_tick = state.header.tick
         return state
 
     def report(self) -> dict[str, Any] | None:
@@ -358,7 +362,7 @@ class Arm:
     def _follow(self, following: Following, source_id: int) -> Iterator[State]:
         self.set_target(following.first())
         self._ask("track")
-        with self.targets(source_id) as source:
+        with self.gate.closed(), self.targets(source_id) as source:
             for state in self.states(timeout_s=30.0):
                 self._check(state, following.wait)
                 now_s = following.now_s(state)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 
 from . import _line, _memory, _words
@@ -27,6 +27,7 @@ Seen = Union[Obstacles, Sequence[Obstacle]]
 
 _POLL_S = 2e-4
 _LOOK_S = 1.0
+_GLANCE_S = 0.1
 
 
 class Source(Generic[_Message]):
@@ -117,6 +118,42 @@ def _fields(message: Any) -> dict[str, Any]:
     )
 
 
+class Gate:
+    """In lockstep: a source lets the next tick begin once a loop that follows a path has done with the one before."""
+
+    def __init__(self) -> None:
+        """Open."""
+        self._changed = threading.Condition()
+        self._followers = 0
+        self._done: int | None = None
+
+    @contextlib.contextmanager
+    def closed(self) -> Iterator[None]:
+        """Ticks wait for `done`."""
+        with self._changed:
+            self._followers += 1
+            self._done = None
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._followers -= 1
+                self._changed.notify_all()
+
+    def done(self, tick: int | None) -> None:
+        """All is done with the record of a tick."""
+        with self._changed:
+            self._done = tick
+            self._changed.notify_all()
+
+    def wait(self, tick: int) -> bool:
+        """Waits a moment until all is done with the record of a tick; whether it is."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: self._followers == 0 or self._done is None or self._done >= tick, _GLANCE_S
+            )
+
+
 class Watch:
     """Publishes what a source sees, over and over, from a thread of its own. A context manager.
 
@@ -130,8 +167,10 @@ class Watch:
         there: Callable[[], bool],
         seen: Seen | Callable[[], Seen],
         period_s: float,
+        gate: Gate,
     ) -> None:
         """Made by `Arm.watch`."""
+        self._gate = gate
         self._make = make
         self._there = there
         self._seen = seen
@@ -215,3 +254,6 @@ class Watch:
                     silent = time.monotonic()
                 time.sleep(_POLL_S)
             tick, now_ns = state.header.tick + 1, state.header.capture_ns
+            while not self._gate.wait(tick - 1):
+                if self._end.is_set():
+                    return
