@@ -104,8 +104,9 @@ class Recording:
             if values.ndim == 1:
                 table[name] = values
                 continue
-            for place in np.ndindex(values.shape[1:]):
-                table[".".join([name, *map(str, place)])] = values[(slice(None), *place)]
+            flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+            for column, place in enumerate(np.ndindex(values.shape[1:])):
+                table[".".join([name, *map(str, place)])] = flat[:, column]
         made = pd.DataFrame(table)
         return made.set_index("time_s") if "time_s" in made.columns else made
 

@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union, cast
 
 from . import _line, _memory, _words
 from .errors import NoDaemonError, SinewError
@@ -93,7 +93,7 @@ class Source(Generic[_Message]):
             # A daemon that has gone, or hears nothing of this source, does not miss it.
             with contextlib.suppress(SinewError):
                 # As old as what was sent last: in lockstep time is the daemon's own.
-                self.send(farewell, self._newest_ns or None)
+                self.send(cast("_Message", farewell), self._newest_ns or None)
         for way in (self._publisher, self._stream):
             if way is not None:
                 way.close()
