@@ -438,12 +438,14 @@ def test_a_simulated_arm_ends_with_its_starter_and_leaves_nothing(simulated: Sim
         assert time.monotonic() < deadline
         time.sleep(0.05)
     shutil.rmtree(folder)
-    mark = simulated.folder.name[len("sinew-py-") :]
 
-    def left() -> list[FilePath]:
-        return [path for path in FilePath("/dev/shm").iterdir() if mark in path.name]
+    def left(place: FilePath) -> list[FilePath]:
+        return [path for path in FilePath("/dev/shm").iterdir() if place.name[len("sinew-py-") :] in path.name]
 
-    assert left()
+    # Nobody was left to remove it.
+    for path in left(FilePath(folder)):
+        path.unlink()
+    assert left(simulated.folder)
     simulated.close()
-    assert not left()
+    assert not left(simulated.folder)
     assert not simulated.folder.exists()
