@@ -4,7 +4,8 @@
     pip install 'iceoryx2==0.10.*'
     python3 examples/obstacle_client.py --arm paper --source 2 --rate 50
 
-The structures below are those of src/ipc/PAYLOADS.md, field by field; their type names carry the schema version, so a
+It shows what goes over the wire, with nothing but iceoryx2; the package in python/ does this and more in three lines. The
+structures below are those of src/ipc/PAYLOADS.md, field by field; their type names carry the schema version, so a
 controller of another version refuses them when the service is opened. SINEW_IPC_PREFIX and SINEW_IPC_ROOT choose the
 domain, as for every other program of sinew.
 """

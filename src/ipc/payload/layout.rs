@@ -8,7 +8,19 @@ struct Layout {
     name: &'static str,
     size: usize,
     align: usize,
-    fields: Vec<(&'static str, usize, usize)>,
+    fields: Vec<(&'static str, usize, usize, String)>,
+}
+
+/// The type of a field as the document writes it: `f64[64][3]` for `[[f64; 3]; 64]`, `Header` without its path.
+fn written<T>(_: &T) -> String {
+    let (mut inner, mut dimensions) = (std::any::type_name::<T>(), String::new());
+    while let Some((element, count)) =
+        inner.strip_prefix('[').and_then(|array| array.strip_suffix(']')).and_then(|array| array.rsplit_once("; "))
+    {
+        dimensions += &format!("[{count}]");
+        inner = element;
+    }
+    format!("{}{dimensions}", inner.rsplit("::").next().unwrap())
 }
 
 macro_rules! layout {
@@ -20,7 +32,12 @@ macro_rules! layout {
             name: stringify!($type),
             size: size_of::<$type>(),
             align: align_of::<$type>(),
-            fields: vec![$((stringify!($field), offset_of!($type, $field), size_of_val(&value.$field))),*],
+            fields: vec![$((
+                stringify!($field),
+                offset_of!($type, $field),
+                size_of_val(&value.$field),
+                written(&value.$field),
+            )),*],
         }
     }};
 }
@@ -43,10 +60,10 @@ fn layouts() -> Vec<Layout> {
     ]
 }
 
-/// A row of the document: offset, size, field.
-type Row = (usize, usize, String);
+/// A row of the document: offset, size, field, type.
+type Row = (usize, usize, String, String);
 
-/// `struct -> (size from its heading, rows of offset, size, field)` of the document.
+/// `struct -> (size from its heading, rows of offset, size, field, type)` of the document.
 fn documented() -> BTreeMap<String, (usize, Vec<Row>)> {
     let mut structs = BTreeMap::new();
     let mut name = String::new();
@@ -61,7 +78,8 @@ fn documented() -> BTreeMap<String, (usize, Vec<Row>)> {
         } else if let Some(entry) = structs.get_mut(&name) {
             let cells: Vec<&str> = line.split('|').map(str::trim).collect();
             if let Some(Ok(offset)) = cells.get(1).map(|c| c.parse()) {
-                entry.1.push((offset, cells[2].parse().unwrap(), cells[3].trim_matches('`').to_owned()));
+                let [field, kind] = [cells[3], cells[4]].map(|cell| cell.trim_matches('`').to_owned());
+                entry.1.push((offset, cells[2].parse().unwrap(), field, kind));
             }
         }
     }
@@ -69,14 +87,14 @@ fn documented() -> BTreeMap<String, (usize, Vec<Row>)> {
 }
 
 #[test]
-fn the_document_states_every_offset_and_size() {
+fn the_document_states_every_offset_size_and_type() {
     let documented = documented();
     let layouts = layouts();
     assert_eq!(documented.len(), layouts.len(), "structures in the document");
     for layout in layouts {
         let (size, rows) = &documented[layout.name];
         assert_eq!(*size, layout.size, "size of {}", layout.name);
-        let compiled: Vec<_> = layout.fields.iter().map(|&(f, o, s)| (o, s, f.to_owned())).collect();
+        let compiled: Vec<_> = layout.fields.into_iter().map(|(f, o, s, t)| (o, s, f.to_owned(), t)).collect();
         assert_eq!(*rows, compiled, "rows of {}", layout.name);
     }
 }
@@ -85,7 +103,7 @@ fn the_document_states_every_offset_and_size() {
 fn no_payload_has_padding() {
     for layout in layouts() {
         let mut end = 0;
-        for (field, offset, size) in layout.fields {
+        for (field, offset, size, _) in layout.fields {
             assert_eq!(offset, end, "padding before {}.{field}", layout.name);
             end = offset + size;
         }
