@@ -265,6 +265,19 @@ def test_encoders_of_another_than_the_drives_are_not_taken(arm: Arm, watch: Watc
     watch.check()
 
 
+def test_a_measured_tip_is_told_with_what_the_estimate_lacks(arm: Arm, watch: Watch) -> None:
+    arm.arm()
+    with arm.tips(32) as source:
+        for state in arm.states(timeout_s=10):
+            source.send(sinew.measured_tip(state.tip_position_m + np.array([0.02, 0, 0])), state.header.capture_ns)
+            if state.tip_bias_m[0] > 1e-3:
+                break
+    assert state.tip_report.source_id == 32
+    assert state.tip_measured_m[0] == pytest.approx(state.tip_position_m[0] + 0.02, abs=5e-3)
+    assert np.abs(state.tip_bias_m[1:]).max() < 1e-3
+    watch.check()
+
+
 def test_requests_go_through_shared_memory_too(arm: Arm, watch: Watch) -> None:
     answer = arm.request(sinew.request(RequestKind.STATUS))
     assert (answer.verdict, answer.supervisor) == (Verdict.ACCEPTED, SupervisorState.DISARMED)

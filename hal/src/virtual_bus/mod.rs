@@ -213,6 +213,9 @@ impl VirtualBus {
     fn publish(&self, words: &layout::Words) -> bool {
         let ticket = self.shared.header().head.fetch_add(1, Ordering::AcqRel);
         let slot = self.shared.slot(ticket);
+        // Before the mark: a sender that loses its processor while it writes may come back a whole ring later and damage
+        // another's frame, which its checksum tells. A clock that is a system call would be where that happens.
+        let time_ns = monotonic_ns();
         let writing = sequence(ticket, Stage::Writing);
         let mut old = slot.sequence.load(Ordering::Acquire);
         loop {
@@ -226,7 +229,6 @@ impl VirtualBus {
         }
         // No store to the content may become visible before the mark "being written".
         fence(Ordering::Release);
-        let time_ns = monotonic_ns();
         slot.sender.store(self.participant, Ordering::Relaxed);
         slot.time_ns.store(time_ns, Ordering::Relaxed);
         slot.head.store(words.head, Ordering::Relaxed);

@@ -19,9 +19,20 @@ from .errors import (
     TimedOutError,
     UnusableError,
 )
-from .messages import ball, box, capsule, encoder_state, half_space, obstacle_set, request, shape_target, tip_target
+from .messages import (
+    ball,
+    box,
+    capsule,
+    encoder_state,
+    half_space,
+    measured_tip,
+    obstacle_set,
+    request,
+    shape_target,
+    tip_target,
+)
 from .paths import Path
-from .payloads import Encoders, Obstacle, Obstacles, Request, RequestKind, Response, State, SupervisorState, Target
+from .payloads import Encoders, Obstacle, Obstacles, Request, RequestKind, Response, State, SupervisorState, Target, Tip
 from .recording import Recording
 from .simulated import SimulatedArm
 from .sources import Source, Watch
@@ -52,6 +63,7 @@ __all__ = [
     "SupervisorState",
     "Target",
     "TimedOutError",
+    "Tip",
     "Track",
     "UnusableError",
     "Watch",
@@ -60,6 +72,7 @@ __all__ = [
     "capsule",
     "encoder_state",
     "half_space",
+    "measured_tip",
     "obstacle_set",
     "plan",
     "request",

@@ -21,19 +21,21 @@ from .payloads import (
     Response,
     State,
     Target,
+    Tip,
 )
 
 _SERVICES: dict[type[Any], str] = {
     Encoders: "encoders",
     Obstacles: "obstacles",
     Target: "target",
+    Tip: "tip",
     State: "state",
 }
 _POLL_S = 2e-4
 # A publisher must live until its message was taken.
 _TAKEN_S = 5e-3
 
-_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target, State])
+_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target, Tip, State])
 
 
 class Session:

@@ -12,7 +12,7 @@ from .client import AGAIN_S, ARMING, HOLDING, HOMING, STARTING, STOPPING, TRACKI
 from .domain import Domain, no_daemon
 from .errors import NoDaemonError, RefusedError, TimedOutError
 from .paths import Path
-from .payloads import Encoders, Obstacles, State, SupervisorState, Target
+from .payloads import Encoders, Obstacles, State, SupervisorState, Target, Tip
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -170,6 +170,10 @@ class AsyncArm:
     def encoders(self, source_id: int = 4) -> Source[Encoders]:
         """A source of cable lengths and tensions."""
         return self._arm.encoders(source_id)
+
+    def tips(self, source_id: int = 5) -> Source[Tip]:
+        """A source of measured positions of the tip."""
+        return self._arm.tips(source_id)
 
     def watch(
         self,

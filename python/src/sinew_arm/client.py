@@ -12,7 +12,7 @@ from ._motion import Following, Track, Wait, check
 from .domain import Domain, no_daemon
 from .errors import NoDaemonError, RefusedError, SinewError, TimedOutError
 from .paths import Path
-from .payloads import Encoders, Obstacles, RefusalReason, Request, Response, State, SupervisorState, Target
+from .payloads import Encoders, Obstacles, RefusalReason, Request, Response, State, SupervisorState, Target, Tip
 from .sources import Gate, Seen, Source, Watch
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target])
+_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target, Tip])
 
 _POLL_S = 2e-4
 _LOOK_S = 1.0
@@ -259,6 +259,10 @@ class Arm:
     def encoders(self, source_id: int = 4) -> Source[Encoders]:
         """A source of cable lengths and tensions, in place of the drives'."""
         return self._source(Encoders, source_id, "memory")
+
+    def tips(self, source_id: int = 5) -> Source[Tip]:
+        """A source of measured positions of the tip (m, base frame): a camera, a tracker."""
+        return self._source(Tip, source_id, "memory")
 
     def watch(
         self,

@@ -17,6 +17,7 @@ from .payloads import (
     RequestKind,
     Target,
     TargetMode,
+    Tip,
 )
 
 _UNROTATED = (1.0, 0.0, 0.0, 0.0)
@@ -222,6 +223,13 @@ def encoder_state(length_m: npt.ArrayLike, tension_n: npt.ArrayLike | None = Non
     made.tension_valid = np.isfinite(tensions)
     made.length_m = np.nan_to_num(lengths)
     made.tension_n = np.nan_to_num(tensions)
+    return made
+
+
+def measured_tip(position_m: npt.ArrayLike) -> Tip:
+    """Where a sensor outside of the arm sees the tip: position (3,) in m, base frame."""
+    made = Tip()
+    made.position_m = np.asarray(position_m, dtype=float)
     return made
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union, cast
 from . import _line, _memory, _words
 from .errors import NoDaemonError, SinewError
 from .messages import obstacle_set
-from .payloads import FLAG_LEAVING, NO_TICK, Encoders, Obstacle, Obstacles, State, Target
+from .payloads import FLAG_LEAVING, NO_TICK, Encoders, Obstacle, Obstacles, State, Target, Tip
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from .domain import Domain
 
-_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target])
+_Message = TypeVar("_Message", bound=Union[Encoders, Obstacles, Target, Tip])
 
 Seen = Union[Obstacles, Sequence[Obstacle]]
 """What a source sees: a set, or a list of obstacles."""
@@ -54,8 +54,8 @@ class Source(Generic[_Message]):
         self._stream: _line.Stream | None = None
         if session is not None:
             self._publisher = _memory.Publisher(session, kind, source_id)
-        elif kind is Encoders:
-            raise SinewError("encoders go through shared memory alone: run this as the daemon's user")
+        elif kind in (Encoders, Tip):
+            raise SinewError("what sensors measure goes through shared memory alone: run this as the daemon's user")
         else:
             what = "obstacles" if kind is Obstacles else "targets"
             self._stream = _line.Stream(domain, arm, what, source_id, timeout_s)
