@@ -143,6 +143,16 @@ fn a_measured_tip_is_shown_with_what_the_estimate_lacks_and_one_that_cannot_be_i
 }
 
 #[test]
+fn a_signal_while_a_lockstep_daemon_waits_for_its_drives_is_an_end_in_order_that_leaves_nothing() {
+    let place = Place::shipped();
+    let daemon = place.daemon(&["--lockstep"]);
+    let (status, said) = daemon.terminate();
+    assert_eq!(status.code(), Some(0), "{said}");
+    assert!(!said.contains("did not come up"), "{said}");
+    place.assert_clean();
+}
+
+#[test]
 fn a_signal_while_tracking_ramps_down_and_disables_before_the_end() {
     let place = Place::shipped();
     let _plant = Plant::start(&place, false, &[]);

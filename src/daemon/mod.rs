@@ -448,6 +448,8 @@ fn run_bus(
         }
         None => match bus.bring_up(WITHIN, progress) {
             Ok(writer) => writer,
+            // Whoever stops a daemon that starts does not care for its drives.
+            Err(_) if progress.stop.load(Ordering::Acquire) => return,
             Err(ready) => {
                 let drives = bus.drive_count();
                 // Whether or not somebody still listens, the control thread ends with its channel.
