@@ -249,7 +249,8 @@ def test_targets_come_point_by_point(arm: Arm, watch: Watch, way: str) -> None:
             if state.target_report.accepted > 10:
                 break
     assert state.target_report.source_id == 21
-    assert state.target_report.health is SourceHealth.FRESH
+    # In lockstep the loop may run ahead of whoever computes: what was told last is held then.
+    assert state.target_report.health in (SourceHealth.FRESH, SourceHealth.HELD)
     assert state.target_report.rejected.sum() == 0
     watch.check()
 
