@@ -176,6 +176,23 @@ fn a_short_run_prints_one_object_judged_by_the_true_arm_and_leaves_nothing() {
 }
 
 #[test]
+fn a_run_for_people_ends_by_naming_the_page_and_the_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("tip.html");
+    let (output, _kept) = Demo::start(&["tip", "--fast", "--duration", "1"]).end();
+    assert!(output.status.success(), "{}", text(&output));
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        said.contains("as a page: --report FILE.html") && said.contains("in a browser meanwhile: --view"),
+        "{said}"
+    );
+    let report = ["tip", "--fast", "--duration", "1", "--report", page.to_str().unwrap()];
+    let (output, _kept) = Demo::start(&report).end();
+    let said = text(&output);
+    assert!(said.contains(&format!("what happened, and why: {}", page.display())) && page.exists(), "{said}");
+}
+
+#[test]
 fn another_arm_needs_nothing_but_its_own_file() {
     // Loops of 4, 4 and 2 ms: the task sends its points 0.4 s ahead, and the daemon keeps 64.
     for (name, length_m) in [("rao-2021/tip", 0.4), ("festo-bha/tip", 0.75), ("rucker-webster-2011/tip", 0.242)] {

@@ -57,7 +57,7 @@ fn an_arm_that_hardly_damps_is_still_too() {
     }
 }
 
-/// A pose held for a minute by an arm whose tip a tracker measures, off by so much (m).
+/// The same, watched for 40 s, of an arm whose tip a tracker measures, off by so much (m).
 fn measured(seed: u64, off_m: f64) -> (Shown, u32) {
     let config = Config::builtin();
     let mut bench = Bench::new(&config, &Settings::new(&config), &TruthSettings::study(seed));

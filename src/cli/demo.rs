@@ -158,11 +158,25 @@ impl Demo {
                     let end = if held.at_end { ", and did to the end" } else { "" };
                     complain(format_args!("the arm held for {:.2} s, first at {:.2} s{end}", held.for_s, held.from_s));
                 }
+                if !self.json {
+                    self.tell_of_pages();
+                }
                 // A hold is what is declared for a killed client; else the arm was to follow its path.
                 let given_up = held.at_end && self.kill_obstacle_client_at.is_none();
                 let failed = judged.contact || !summary.faults.is_empty() || given_up;
                 Ok(if failed { Outcome::Failed } else { Outcome::Done })
             }
+        }
+    }
+
+    /// Where what happened is to be seen.
+    fn tell_of_pages(&self) {
+        match &self.report {
+            Some(out) => complain(format_args!("what happened, and why: {}", out.display())),
+            None => complain("what happened, and why, as a page: --report FILE.html"),
+        }
+        if self.view.is_none() {
+            complain("the run in a browser meanwhile: --view");
         }
     }
 

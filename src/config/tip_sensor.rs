@@ -53,9 +53,10 @@ pub static TIP_SENSOR: TableSpec = TableSpec {
 
 /// Reads `[tip_sensor]` for an arm.
 pub(super) fn read(table: &Section<'_>, scale: &Scale) -> TipSensorConfig {
+    let usual = TipSensorConfig::of(scale);
     TipSensorConfig {
-        time_s: table.float_opt("time_s").unwrap_or_else(|| scale.time_s(TIME)),
-        error_m: table.float_opt("error_m").unwrap_or(ERROR * scale.length_m),
+        time_s: table.float_opt("time_s").unwrap_or(usual.time_s),
+        error_m: table.float_opt("error_m").unwrap_or(usual.error_m),
         stale_after_s: table.float("stale_after_s"),
     }
 }

@@ -17,7 +17,7 @@ pub(super) struct Distance {
     pub(super) growth_m: f64,
 }
 
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Default, Deserialize)]
 pub(super) struct Source {
     pub(super) source_id: u32,
     pub(super) health: u32,
@@ -67,6 +67,9 @@ pub(super) struct Tick {
     pub(super) obstacle_sources: Vec<Source>,
     pub(super) target_report: Source,
     pub(super) encoder_report: Source,
+    /// Recordings of before have none.
+    #[serde(default)]
+    pub(super) tip_report: Source,
     pub(super) ticks_missed: u64,
     pub(super) records_dropped: u64,
     pub(super) timing: Timing,
@@ -114,6 +117,7 @@ impl Tick {
             reach_nearest_m: self.reach_nearest_m,
             target_report: source(&self.target_report),
             encoder_report: source(&self.encoder_report),
+            tip_report: source(&self.tip_report),
             ..State::default()
         });
         for (place, given) in state.obstacle_sources.iter_mut().zip(&self.obstacle_sources) {

@@ -249,6 +249,7 @@ impl<'a> Reader<'a> {
         }
         source(&|| "target".to_owned(), &tick.target_report);
         source(&|| "encoders".to_owned(), &tick.encoder_report);
+        source(&|| "tip sensor".to_owned(), &tick.tip_report);
         self.rows.at(tick.time_s, period_s, &now);
     }
 
@@ -311,6 +312,9 @@ impl<'a> Reader<'a> {
         }
         self.add(place, Chart::Age, 1 << 32, tick.target_report.age_s, || "target".into());
         self.add(place, Chart::Age, (1 << 32) + 1, tick.encoder_report.age_s, || "encoders".into());
+        if tick.tip_report.accepted > 0 {
+            self.add(place, Chart::Age, (1 << 32) + 2, tick.tip_report.age_s, || "tip sensor".into());
+        }
     }
 
     fn add(&mut self, place: usize, chart: Chart, key: u64, value: f64, name: impl FnOnce() -> String) {

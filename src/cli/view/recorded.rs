@@ -173,7 +173,7 @@ struct DistanceOf {
     growth_m: Maybe,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct SourceOf {
     source_id: u32,
     health: u32,
@@ -239,6 +239,9 @@ struct StateOf {
     obstacle_sources: Vec<SourceOf>,
     target_report: SourceOf,
     encoder_report: SourceOf,
+    /// Recordings of before have none.
+    #[serde(default)]
+    tip_report: SourceOf,
     ticks_missed: u64,
     records_dropped: u64,
     timing: TimingOf,
@@ -273,6 +276,7 @@ fn state(message: &RawMessage<'_>) -> Result<State, RecordingError> {
         curvature_error_1pm: number(r.curvature_error_1pm),
         target_report: r.target_report.report(),
         encoder_report: r.encoder_report.report(),
+        tip_report: r.tip_report.report(),
         ticks_missed: r.ticks_missed,
         records_dropped: r.records_dropped,
         timing: TickTiming {

@@ -347,10 +347,15 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
 
         let before = (self.supervisor.mode(), self.supervisor.is_planning());
         self.measure_curvatures();
-        self.measure_tip(inputs, periods, &mut limits);
-        let verdict = self.supervise(inputs, periods, &mut faults);
+        let tip = self.observing.then(|| {
+            let state = self.estimator.state();
+            self.arm.tip(&state.q, &state.qd)
+        });
+        self.measure_tip(inputs, tip.as_ref(), periods, &mut limits);
+        let verdict = self.supervise(inputs, tip.as_ref(), periods, &mut faults);
         limits.0 |= verdict.limits.0;
-        let seen = self.observed(inputs, faults, progress, verdict.hold);
+        let tip_speed_mps = tip.map_or(f64::NAN, |tip| tip.velocity.norm());
+        let seen = self.observed(inputs, faults, progress, verdict.hold, tip_speed_mps);
         let decision = self.supervisor.step(&seen);
         self.on_change(before);
         limits.0 |= decision.limits.0;
@@ -489,10 +494,9 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         faults: FaultList,
         progress: Progress,
         hold: Option<Limit>,
+        tip_speed_mps: f64,
     ) -> Observed {
         let count = 2 * self.arm.segment_count();
-        let state = self.estimator.state();
-        let tip_speed_mps = if self.observing { self.arm.tip(&state.q, &state.qd).velocity.norm() } else { f64::NAN };
         let moves = self.motion.moves(inputs.now_ns, tip_speed_mps, self.encoders.lengths_m());
         let home = &self.settings.home_curvatures_1pm;
         let tolerance = self.settings.home_tolerance_rad;

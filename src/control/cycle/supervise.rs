@@ -5,34 +5,43 @@ use crate::control::estimator::Estimator;
 use crate::control::fault::{FaultList, Limit, Limits};
 use crate::control::supervision::{SLOW_PACE, Seen, Verdict};
 use crate::control::supervisor::Mode;
+use crate::model::Outputs;
 
 impl<E: Estimator, P: Plan> Cycle<E, P> {
     /// What a tip sensor says of the estimate.
-    pub(super) fn measure_tip(&mut self, inputs: &TickInputs<'_>, periods: u32, limits: &mut Limits) {
-        if !self.observing {
+    pub(super) fn measure_tip(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        tip: Option<&Outputs>,
+        periods: u32,
+        limits: &mut Limits,
+    ) {
+        let Some(tip) = tip else {
             self.tip_sensor.restart();
             return;
-        }
+        };
         let h = f64::from(periods) * self.settings.timing.period_s;
-        let state = self.estimator.state();
-        let tip = self.arm.tip(&state.q, &state.qd).position;
-        self.tip_sensor.follow(h, &tip, inputs.encoders.capture_ns, inputs.tip.as_ref(), inputs.now_ns);
+        self.tip_sensor.follow(h, &tip.position, inputs.encoders.capture_ns, inputs.tip.as_ref(), inputs.now_ns);
         if self.tip_sensor.doubted_m().is_some() {
             limits.insert(Limit::TipDoubted);
         }
     }
 
     /// Watches motion, tensions and cables while the loop plans, also on the way up and down.
-    pub(super) fn supervise(&mut self, inputs: &TickInputs<'_>, periods: u32, faults: &mut FaultList) -> Verdict {
+    pub(super) fn supervise(
+        &mut self,
+        inputs: &TickInputs<'_>,
+        tip: Option<&Outputs>,
+        periods: u32,
+        faults: &mut FaultList,
+    ) -> Verdict {
         let stops = matches!(self.supervisor.mode(), Mode::Stopping | Mode::Faulted);
         self.governor.set_scale(if stops { 1.0 } else { self.speed_scale });
-        if !(self.observing && self.supervisor.is_planning()) {
+        let Some(tip) = tip.filter(|_| self.supervisor.is_planning()) else {
             self.governor.set_pace(1.0);
             return Verdict::default();
-        }
-        let state = self.estimator.state();
-        let tip = self.arm.tip(&state.q, &state.qd);
-        self.arm.cable_lengths_into(&state.q, &mut self.model_lengths);
+        };
+        self.arm.cable_lengths_into(&self.estimator.state().q, &mut self.model_lengths);
         let count = 2 * self.arm.segment_count();
         let age_ns = inputs.now_ns.saturating_sub(inputs.encoders.capture_ns);
         let seen = Seen {

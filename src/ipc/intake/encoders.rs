@@ -40,19 +40,10 @@ impl EncoderTable {
     ) -> Result<(), RejectCause> {
         let checked =
             admit(&mut self.log, &message.header, publisher, now_ns, limits).and_then(|()| self.validate(message));
-        match checked {
-            Ok(()) => {
-                self.log.accept(&message.header);
-                self.log.publisher = publisher;
-                self.latest = *message;
-                self.drop_bad_entries();
-                Ok(())
-            }
-            Err(cause) => {
-                self.log.refuse(cause, &message.header);
-                Err(cause)
-            }
-        }
+        self.log.settle(checked, &message.header, publisher)?;
+        self.latest = *message;
+        self.drop_bad_entries();
+        Ok(())
     }
 
     fn validate(&self, message: &Encoders) -> Result<(), RejectCause> {

@@ -176,27 +176,16 @@ impl ObstacleTable {
             slot.contested_ns = slot.declared.then_some(now_ns);
             return Err(RejectCause::TooManySources);
         }
-        match slot
-            .log
-            .check(&message.header, now_ns, limits)
-            .and_then(|()| validate(message, others, &mut slot.sigma_m))
-        {
-            Ok(()) => {
-                slot.log.accept(&message.header);
-                slot.log.publisher = publisher;
-                copy_used(&mut slot.set, message);
-                if message.flags & FLAG_LEAVING != 0 {
-                    slot.log.forget();
-                    slot.used = slot.declared;
-                }
-                Ok(())
-            }
-            Err(cause) => {
-                // `validate` overwrites the standard deviations only after the whole message was found valid.
-                slot.log.refuse(cause, &message.header);
-                Err(cause)
-            }
+        // `validate` overwrites the standard deviations only after the whole message was found valid.
+        let checked =
+            slot.log.check(&message.header, now_ns, limits).and_then(|()| validate(message, others, &mut slot.sigma_m));
+        slot.log.settle(checked, &message.header, publisher)?;
+        copy_used(&mut slot.set, message);
+        if message.flags & FLAG_LEAVING != 0 {
+            slot.log.forget();
+            slot.used = slot.declared;
         }
+        Ok(())
     }
 
     /// The other port that has the id of a source; `None` if this one may have it.

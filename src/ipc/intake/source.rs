@@ -72,6 +72,26 @@ impl SourceLog {
         Ok(())
     }
 
+    /// Counts a message of a port as it was judged, and gives the verdict back.
+    ///
+    /// # Errors
+    /// The cause for which it was rejected.
+    pub fn settle(
+        &mut self,
+        checked: Result<(), RejectCause>,
+        header: &Header,
+        publisher: u128,
+    ) -> Result<(), RejectCause> {
+        match checked {
+            Ok(()) => {
+                self.accept(header);
+                self.publisher = publisher;
+            }
+            Err(cause) => self.refuse(cause, header),
+        }
+        checked
+    }
+
     /// Counts an accepted message.
     pub fn accept(&mut self, header: &Header) {
         self.last = Some(*header);

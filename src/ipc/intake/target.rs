@@ -84,14 +84,7 @@ impl TargetTrack {
         let checked = admit(&mut self.log, &message.header, publisher, now_ns, limits)
             .and_then(|()| self.validate(message))
             .and_then(|()| self.insert(message, now_ns));
-        match checked {
-            Ok(()) => {
-                self.log.accept(&message.header);
-                self.log.publisher = publisher;
-            }
-            Err(cause) => self.log.refuse(cause, &message.header),
-        }
-        checked
+        self.log.settle(checked, &message.header, publisher)
     }
 
     fn validate(&self, t: &Target) -> Result<(), RejectCause> {

@@ -27,18 +27,9 @@ impl TipTable {
     ) -> Result<(), RejectCause> {
         let checked = admit(&mut self.log, &message.header, publisher, now_ns, limits)
             .and_then(|()| check::coordinates(&message.position_m));
-        match checked {
-            Ok(()) => {
-                self.log.accept(&message.header);
-                self.log.publisher = publisher;
-                self.latest = *message;
-                Ok(())
-            }
-            Err(cause) => {
-                self.log.refuse(cause, &message.header);
-                Err(cause)
-            }
-        }
+        self.log.settle(checked, &message.header, publisher)?;
+        self.latest = *message;
+        Ok(())
     }
 
     /// The newest valid measurement, unless it is stale.
