@@ -3,14 +3,17 @@
 
 #![allow(clippy::expect_used)] // a test stops where it cannot go on
 use sim_plant::follow::{Followed, follow, plant, scaled};
-use sinew::config::{Config, ScenarioConfig};
+use sinew::config::{ArmConfig, Config, ScenarioConfig, Start, Task};
 
 /// A scenario of the library by nothing but its arm's file.
 fn shown(name: &str, scale: f64, duration_s: Option<f64>) -> Followed {
-    let scenario = scaled(&ScenarioConfig::find(name).expect("built in"), scale);
+    shown_of(name, &scaled(&ScenarioConfig::find(name).expect("built in"), scale), duration_s)
+}
+
+fn shown_of(name: &str, scenario: &ScenarioConfig, duration_s: Option<f64>) -> Followed {
     let mut config = Config::of_arm(&scenario.arm, None).expect("an arm that works");
     config.planner.body_radius_m = scenario.planner.body_radius_m;
-    let shown = follow(&config, &plant(&config, 1), &scenario, duration_s, |_, _, _| ()).expect("a start");
+    let shown = follow(&config, &plant(&config, 1), scenario, duration_s, |_, _, _| ()).expect("a start");
     assert_eq!(shown.failed, None, "{name}: {shown:?}");
     assert!(shown.distance > 0.0, "{name} touches: {shown:?}");
     assert!(shown.roughness < 0.003, "{name}: {shown:?}");
@@ -43,4 +46,39 @@ fn an_arm_of_another_size_is_as_good() {
     }
     let other = shown("shape", 0.1, Some(60.0));
     assert!((other.curvature_error - bends.curvature_error).abs() < 1e-3, "{other:?}, at full size {bends:?}");
+}
+
+/// An arm of so many segments of the paper's rod, 2.4 m together, with cables at these angles (deg), bent as told (1/m).
+fn bent(name: &str, segments: usize, cables_deg: &[f64], bend: impl Fn(usize) -> [f64; 2]) -> Followed {
+    let mut arm = ArmConfig::paper();
+    let mut segment = arm.segments[0].clone();
+    segment.length_m = 2.4 / segments as f64;
+    segment.elements = 32 / segments;
+    segment.connector_length_m = 0.0;
+    segment.hole_angles_rad = cables_deg.iter().map(|angle| angle.to_radians()).collect();
+    arm.segments = vec![segment; segments];
+    let mut scenario = ScenarioConfig::find("shape").expect("built in");
+    let curvatures_1pm = (0..segments).flat_map(bend).collect();
+    scenario.task = Task::Shape { curvatures_1pm, weight_end: 1e10, weight_slope: 9.99e5, end_s: 30.0 };
+    (scenario.arm, scenario.start) = (arm, Start::Straight);
+    (scenario.obstacles, scenario.weight_tension_change) = (Vec::new(), None);
+    shown_of(name, &scenario, Some(40.0))
+}
+
+#[test]
+fn an_arm_of_sixteen_segments_bends_as_it_is_told() {
+    let wanted = [[0.4, 0.4], [-1.2, 0.0], [-0.8, -1.2], [-0.8, -1.2]];
+    let shown = bent("sixteen", 16, &[30.0, 150.0, 270.0], |segment| wanted[segment / 4]);
+    assert!(shown.curvature_error < 0.01, "{shown:?}");
+}
+
+/// To where they can pull it: one cable to one side, two that face each other in a plane, two beside each other in a quarter.
+#[test]
+fn arms_of_one_and_two_cables_bend_as_they_are_told() {
+    for (name, cables_deg, bend) in
+        [("one", &[0.0][..], [0.0, 0.4]), ("two", &[0.0, 180.0], [0.0, -0.4]), ("a quarter", &[0.0, 90.0], [-0.2, 0.4])]
+    {
+        let shown = bent(name, 4, cables_deg, |_| bend);
+        assert!(shown.curvature_error < 0.01, "{name}: {shown:?}");
+    }
 }

@@ -115,6 +115,26 @@ fn where_it_is_not_stable_a_kick_grows_as_told() {
     assert!(!spectrum.is_stable() && spectrum.growth_1ps() > 1.0, "{:?}", spectrum.modes[0]);
 }
 
+/// The first frequency says nothing of how many segments share it: what holds four of them made sixteen swing up.
+#[test]
+fn an_arm_of_many_segments_is_stable_straight_and_bent() {
+    for count in [8, 12, 16] {
+        let mut arm = light(0.05).arm;
+        let mut segment = arm.segments[0].clone();
+        segment.length_m = 2.4 / count as f64;
+        segment.elements = 2;
+        segment.connector_length_m = 0.0;
+        segment.hole_angles_rad = [30.0f64, 150.0, 270.0].map(f64::to_radians).to_vec();
+        arm.segments = vec![segment; count];
+        let config = Config::of_arm(&arm, None).unwrap();
+        let bends: Vec<f64> = (0..count).flat_map(|s| [0.4, if 2 * s < count { -1.2 } else { 0.3 }]).collect();
+        for place in [Place::Rest, Place::Shape(bends)] {
+            let spectrum = Spectrum::of(&config, &Held::at(&config, &place).unwrap()).unwrap();
+            assert!(spectrum.is_stable(), "{count} segments, {place:?}: {:?}", spectrum.modes[0]);
+        }
+    }
+}
+
 #[test]
 fn a_place_that_cannot_be_held_is_told_as_such() {
     let config = light(0.05);

@@ -70,11 +70,11 @@ static TIP: TableSpec = TableSpec {
             "`change_ratio` of the arm's own",
             "Diagonal of W, one number per segment.",
         ),
-        Key::default(
+        Key::optional(
             "change_ratio",
             Kind::Float(Range::above(0.0, 1e6)),
             "",
-            "1e-3",
+            "1e-3; of N > 4 segments (4/N)^2 of it",
             "Where `tension_change` is absent: W over the diagonal of S^T Q S, which says how strongly a segment's bends answer its cables within the lookahead.",
         ),
         Key::default("pose", POSITIVE_WEIGHT, "1/m^2, 1", "5e12", "Tip position and quaternion."),
@@ -106,6 +106,16 @@ static SHAPE: TableSpec = TableSpec {
     ],
 };
 
+/// `change_ratio` of up to four segments.
+const CHANGE_RATIO: f64 = 1e-3;
+
+/// `change_ratio` of an arm of so many segments whose configuration has none. The more segments, the less a bend of the whole
+/// arm answers beside one of a single segment, which the diagonal of `S^T Q S` is about: held back as much, it comes too
+/// late, and the arm swings up.
+fn change_ratio(segments: usize) -> f64 {
+    CHANGE_RATIO * (4.0 / segments.max(4) as f64).powi(2)
+}
+
 /// Reads `[weights]` for an arm of so many segments and a lookahead (s).
 pub(super) fn read(table: &Section<'_>, segments: usize, lookahead_s: f64) -> WeightsConfig {
     let tip = table.table("tip");
@@ -115,7 +125,7 @@ pub(super) fn read(table: &Section<'_>, segments: usize, lookahead_s: f64) -> We
         tip: TipWeights {
             tension: tip.float_opt("tension"),
             tension_change: change(&tip, segments),
-            change_ratio: tip.float("change_ratio"),
+            change_ratio: tip.float_opt("change_ratio").unwrap_or_else(|| change_ratio(segments)),
             pose,
             rate: tip.float_opt("rate").unwrap_or(pose * lookahead_s * lookahead_s),
             damping: tip.float("damping"),

@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -36,6 +36,8 @@ const HANG: Duration = Duration::from_secs(2);
 const WHOLE_STOPS: u64 = 6;
 /// Longest time from the order of a stop to drives without torque.
 const REST: Duration = Duration::from_secs(60);
+/// Longest time that a trial may take with all its waits; beyond it is a hang of the trial.
+const TRIAL: Duration = Duration::from_secs(200);
 /// Longest wait where that has been told.
 const WAITS: Duration = Duration::from_secs(20);
 
@@ -148,7 +150,7 @@ fn place(class: &Class) -> Place {
 }
 
 /// The daemon, with the recording of its class.
-fn recording(class: &Class, place: &Place) -> std::process::Command {
+fn recording(class: &Class, place: &Place) -> Command {
     let path = place.folder.path().join("recordings");
     let text = path.display().to_string();
     match class.record {
@@ -160,13 +162,76 @@ fn recording(class: &Class, place: &Place) -> std::process::Command {
         Some(Disk::Small) => {
             std::fs::create_dir(&path).unwrap();
             let run = place.sinew(&["run", "--record", &text]);
-            let mut command = std::process::Command::new("unshare");
+            let mut command = Command::new("unshare");
             let mount = format!("mount -t tmpfs -o size=1m tmpfs {text} && exec \"$@\"");
             command.args(["--mount", "--propagation", "private", "sh", "-c", &mount, "sh"]);
             command.arg(run.get_program()).args(run.get_args());
             command
         }
     }
+}
+
+/// Runs a trial on a thread of its own and waits for it. One that does not end is an error that says where every process
+/// and thread of it waits; it ends the campaign, for what it holds cannot be given back.
+fn bounded_trial(class: &'static Class, seed: u64) -> Found {
+    let (send, receive) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let tried = std::panic::catch_unwind(|| trial(class, seed));
+        let _ = send.send(tried.unwrap_or_else(|panic| {
+            let text =
+                panic.downcast_ref::<String>().cloned().or(panic.downcast_ref::<&str>().map(|s| (*s).to_owned()));
+            let text = text.unwrap_or_default();
+            Found {
+                wrong: vec![format!("the trial itself: {}", text.chars().take(1000).collect::<String>())],
+                ..Found::default()
+            }
+        }));
+    });
+    receive.recv_timeout(TRIAL).unwrap_or_else(|_| {
+        eprintln!("FAILED {} (seed {seed}): not ended after {} s; waiting are:", class.name, TRIAL.as_secs());
+        for pid in family() {
+            eprintln!("{}", whereabouts(pid).unwrap_or_else(|error| format!("{pid}: {error}")));
+        }
+        // The children stay where a process of the real-time class spins: nothing else ends them.
+        for pid in family().into_iter().filter(|pid| *pid != std::process::id()) {
+            let _ = Command::new("kill").args(["-KILL", &pid.to_string()]).status();
+        }
+        std::process::exit(1)
+    })
+}
+
+/// This process and all that it started, by their numbers.
+fn family() -> Vec<u32> {
+    let mut parents: Vec<(u32, u32)> = Vec::new();
+    for entry in std::fs::read_dir("/proc").unwrap().flatten() {
+        let Ok(pid) = entry.file_name().to_string_lossy().parse() else { continue };
+        let status = std::fs::read_to_string(entry.path().join("status")).unwrap_or_default();
+        let parent = status.lines().find_map(|line| line.strip_prefix("PPid:")?.trim().parse().ok());
+        parents.extend(parent.map(|parent| (pid, parent)));
+    }
+    let mut found = vec![std::process::id()];
+    let mut next = 0;
+    while next < found.len() {
+        let of = found[next];
+        found.extend(parents.iter().filter(|(_, parent)| *parent == of).map(|(pid, _)| *pid));
+        next += 1;
+    }
+    found
+}
+
+/// A process and where each of its threads waits in the kernel (by root).
+fn whereabouts(pid: u32) -> std::io::Result<String> {
+    let folder = PathBuf::from(format!("/proc/{pid}"));
+    let words = std::fs::read_to_string(folder.join("cmdline"))?.replace('\0', " ");
+    let mut text = format!("{pid}: {words}");
+    for task in std::fs::read_dir(folder.join("task"))?.flatten() {
+        let read = |name: &str| std::fs::read_to_string(task.path().join(name)).unwrap_or_default();
+        let status = read("status");
+        let state = status.lines().find_map(|line| line.strip_prefix("State:")).unwrap_or_default().trim();
+        let stack: Vec<String> = read("stack").lines().take(3).map(|l| l.trim_start_matches("[<0>] ").into()).collect();
+        let _ = write!(text, "\n  {} {state} {} {}", read("comm").trim(), read("wchan"), stack.join(" < "));
+    }
+    Ok(text)
 }
 
 fn trial(class: &Class, seed: u64) -> Found {
@@ -387,7 +452,7 @@ fn judge(trace: &Path, config: &Config, until: &Until, found: &mut Found) {
 }
 
 /// Runs trials of classes, round after round, and writes a table; the failures.
-fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
+fn campaign(classes: &[&'static Class], trials: usize, seed: u64) -> Vec<String> {
     let mut rows = Rows::new();
     let mut failed = Vec::new();
     for number in 0..trials {
@@ -396,16 +461,11 @@ fn campaign(classes: &[&Class], trials: usize, seed: u64) -> Vec<String> {
             continue;
         }
         let own = seed.wrapping_mul(1_000_003).wrapping_add(number as u64);
-        let tried = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| trial(class, own)));
-        let found = tried.unwrap_or_else(|panic| {
-            let text =
-                panic.downcast_ref::<String>().cloned().or(panic.downcast_ref::<&str>().map(|s| (*s).to_owned()));
-            let text = text.unwrap_or_default();
-            Found {
-                wrong: vec![format!("the trial itself: {}", text.chars().take(1000).collect::<String>())],
-                ..Found::default()
-            }
-        });
+        // Told before: one that hangs is known by it.
+        eprintln!("{} of {trials}: {} (--class {} --seed {own})", number + 1, class.name, class.name);
+        let begun = Instant::now();
+        let found = bounded_trial(class, own);
+        eprintln!("    {:.1} s", begun.elapsed().as_secs_f64());
         let row = rows.entry(class.name).or_default();
         row.0 += 1;
         row.2.extend(found.stop_ms);
@@ -461,7 +521,7 @@ fn classes_have_names_of_their_own() {
 /// A trial of every sixth class; the whole is `tests/campaign/run`.
 #[test]
 fn the_short_campaign() {
-    let some: Vec<&Class> = CLASSES.iter().step_by(6).collect();
+    let some: Vec<&'static Class> = CLASSES.iter().step_by(6).collect();
     let failed = campaign(&some, some.len(), 1);
     assert!(failed.is_empty(), "{}", failed.join("\n"));
 }
@@ -471,7 +531,8 @@ fn the_short_campaign() {
 #[ignore = "takes an hour: tests/campaign/run"]
 fn the_long_campaign() {
     let wanted = std::env::var("SINEW_CAMPAIGN_CLASS").ok();
-    let classes: Vec<&Class> = CLASSES.iter().filter(|c| wanted.as_deref().is_none_or(|name| c.name == name)).collect();
+    let classes: Vec<&'static Class> =
+        CLASSES.iter().filter(|c| wanted.as_deref().is_none_or(|name| c.name == name)).collect();
     assert!(!classes.is_empty(), "there is no class {wanted:?}");
     let trials = number("SINEW_CAMPAIGN_TRIALS").unwrap_or(1000) as usize;
     let failed = campaign(&classes, trials, number("SINEW_CAMPAIGN_SEED").unwrap_or(1));
