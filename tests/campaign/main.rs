@@ -192,7 +192,7 @@ fn bounded_trial(class: &'static Class, seed: u64) -> Found {
         for pid in family() {
             eprintln!("{}", whereabouts(pid).unwrap_or_else(|error| format!("{pid}: {error}")));
         }
-        // The children stay where a process of the real-time class spins: nothing else ends them.
+        // Left alone they would go on beside the next test.
         for pid in family().into_iter().filter(|pid| *pid != std::process::id()) {
             let _ = Command::new("kill").args(["-KILL", &pid.to_string()]).status();
         }
