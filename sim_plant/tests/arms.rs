@@ -22,7 +22,17 @@ fn shown_of(name: &str, scenario: &ScenarioConfig, duration_s: Option<f64>) -> F
 
 #[test]
 fn tips_of_published_arms_follow_their_paths() {
-    for name in ["rucker-webster-2011/tip", "rao-2021/tip", "festo-bha/tip", "oc-snake-arm/tip"] {
+    for name in [
+        "rucker-webster-2011/tip",
+        "rao-2021/tip",
+        "till-2019/tip",
+        "feizi-sheath/tip",
+        "tummers-2023/tip",
+        "renda-2018/tip",
+        "dong-2017/tip",
+        "festo-bha/tip",
+        "oc-snake-arm/tip",
+    ] {
         let shown = shown(name, 1.0, Some(10.0));
         assert!(shown.error.0 < 0.005 && shown.error.1 < 0.015, "{name}: {shown:?}");
     }
@@ -30,7 +40,16 @@ fn tips_of_published_arms_follow_their_paths() {
 
 #[test]
 fn published_arms_bend_as_they_are_told() {
-    for name in ["rucker-webster-2011/shape", "sofa-trunk/shape", "rao-2021/shape"] {
+    for name in [
+        "rucker-webster-2011/shape",
+        "sofa-trunk/shape",
+        "rao-2021/shape",
+        "till-2019/shape",
+        "feizi-sheath/shape",
+        "tummers-2023/shape",
+        "renda-2018/shape",
+        "dong-2017/shape",
+    ] {
         let shown = shown(name, 1.0, None);
         assert!(shown.curvature_error < 0.01, "{name}: {shown:?}");
     }

@@ -28,6 +28,12 @@ pub static SCENARIOS: &[(&str, &str)] = &[
 
 /// Name and text of every file of the library of arms, `config/arms/`: an arm each, and scenarios for it.
 pub static ARMS: &[(&str, &str)] = &[
+    ("dong-2017/arm.toml", include_str!("../../config/arms/dong-2017/arm.toml")),
+    ("dong-2017/shape.toml", include_str!("../../config/arms/dong-2017/shape.toml")),
+    ("dong-2017/tip.toml", include_str!("../../config/arms/dong-2017/tip.toml")),
+    ("feizi-sheath/arm.toml", include_str!("../../config/arms/feizi-sheath/arm.toml")),
+    ("feizi-sheath/shape.toml", include_str!("../../config/arms/feizi-sheath/shape.toml")),
+    ("feizi-sheath/tip.toml", include_str!("../../config/arms/feizi-sheath/tip.toml")),
     ("festo-bha/arm.toml", include_str!("../../config/arms/festo-bha/arm.toml")),
     ("festo-bha/shape.toml", include_str!("../../config/arms/festo-bha/shape.toml")),
     ("festo-bha/tip.toml", include_str!("../../config/arms/festo-bha/tip.toml")),
@@ -39,11 +45,20 @@ pub static ARMS: &[(&str, &str)] = &[
     ("rao-2021/arm.toml", include_str!("../../config/arms/rao-2021/arm.toml")),
     ("rao-2021/shape.toml", include_str!("../../config/arms/rao-2021/shape.toml")),
     ("rao-2021/tip.toml", include_str!("../../config/arms/rao-2021/tip.toml")),
+    ("renda-2018/arm.toml", include_str!("../../config/arms/renda-2018/arm.toml")),
+    ("renda-2018/shape.toml", include_str!("../../config/arms/renda-2018/shape.toml")),
+    ("renda-2018/tip.toml", include_str!("../../config/arms/renda-2018/tip.toml")),
     ("rucker-webster-2011/arm.toml", include_str!("../../config/arms/rucker-webster-2011/arm.toml")),
     ("rucker-webster-2011/shape.toml", include_str!("../../config/arms/rucker-webster-2011/shape.toml")),
     ("rucker-webster-2011/tip.toml", include_str!("../../config/arms/rucker-webster-2011/tip.toml")),
     ("sofa-trunk/arm.toml", include_str!("../../config/arms/sofa-trunk/arm.toml")),
     ("sofa-trunk/shape.toml", include_str!("../../config/arms/sofa-trunk/shape.toml")),
+    ("till-2019/arm.toml", include_str!("../../config/arms/till-2019/arm.toml")),
+    ("till-2019/shape.toml", include_str!("../../config/arms/till-2019/shape.toml")),
+    ("till-2019/tip.toml", include_str!("../../config/arms/till-2019/tip.toml")),
+    ("tummers-2023/arm.toml", include_str!("../../config/arms/tummers-2023/arm.toml")),
+    ("tummers-2023/shape.toml", include_str!("../../config/arms/tummers-2023/shape.toml")),
+    ("tummers-2023/tip.toml", include_str!("../../config/arms/tummers-2023/tip.toml")),
 ];
 
 /// Path and text of the built-in scenario of this name: `tip`, or of an arm of the library `rao-2021/tip`.
