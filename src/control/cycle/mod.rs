@@ -17,7 +17,7 @@ use super::estimator::{Estimate, Estimator};
 use super::fault::{Fault, FaultList, Limit, Limits};
 use super::friction::FrictionCompensation;
 use super::governor::Governor;
-use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVerdict};
+use super::guard::{EncoderGuard, EncoderReadings, Floor, TensionGuard, TensionVerdict, Watch};
 use super::obstacles::{ObstacleDemand, ObstaclePair};
 use super::ramp::Ramp;
 use super::record::Record;
@@ -397,7 +397,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
         };
         // While the drives come up readings may be missing; the start waits for them.
         let rises = self.supervisor.mode() == Mode::Disarmed || self.supervisor.is_starting();
-        let watch = self.observing || !rises;
+        let watch = match self.observing {
+            true if self.is_settling() => Watch::Settling,
+            observing if observing || !rises => Watch::All,
+            _ => Watch::Nothing,
+        };
         let torque = inputs.drives.phase == DrivesPhase::Enabled;
         for (c, (along, drum)) in self.read_m.iter_mut().zip(inputs.encoders.lengths_m).enumerate() {
             *along = self.arm.along_arm(c, *drum, if torque { self.sent[c] } else { 0.0 });
@@ -422,8 +426,7 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             match self.estimator.update(&self.applied, self.encoders.lengths_m(), periods) {
                 Ok(estimate) if self.estimator.state().is_finite() && self.estimator.predicted().is_finite() => {
                     self.estimate = estimate;
-                    // Until it has settled the start's own transient is no fault; the time-out is.
-                    if !self.supervisor.is_starting() || self.supervisor.is_planning() {
+                    if !self.is_settling() {
                         let (z, growth) = (estimate.innovation_max_rad, estimate.innovation_growth_rad);
                         if !z.is_finite() {
                             faults.push(Fault::EstimateLost);
@@ -475,6 +478,11 @@ impl<E: Estimator, P: Plan> Cycle<E, P> {
             true if self.postures.is_to_raise() => Progress::Posture,
             true => Progress::Done,
         }
+    }
+
+    /// Whether the estimate has only begun. Until it has settled its own transient is no fault; the time-out is.
+    fn is_settling(&self) -> bool {
+        self.supervisor.is_starting() && !self.supervisor.is_planning()
     }
 
     fn measure_curvatures(&mut self) {

@@ -6,5 +6,5 @@
 mod encoders;
 mod tension;
 
-pub use encoders::{EncoderGuard, EncoderReadings};
+pub use encoders::{EncoderGuard, EncoderReadings, Watch};
 pub use tension::{Floor, TensionGuard, TensionVerdict};
