@@ -4,7 +4,7 @@ use crate::bench::Bench;
 use crate::truth::TruthSettings;
 use nalgebra::{Vector3, Vector4};
 use sinew::collision::{Body, BodyGeometry};
-use sinew::config::{BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
+use sinew::config::{ArmConfig, BodyModel, Config, Motion, Scale, ScenarioConfig, ShapeConfig, Start, Task, TipPath};
 use sinew::control::{CURVATURES_MAX, Mode, Request, Target, TargetInput};
 
 /// Time before a path at its first pose (s).
@@ -39,6 +39,18 @@ pub fn plant(config: &Config, seed: u64) -> TruthSettings {
         encoder_step_m: 1e-5 * config.arm.length_m(),
         ..TruthSettings::study_of(config, seed)
     }
+}
+
+/// The paper's rod, 2.4 m of it, as an arm of so many segments, each with cables at these angles (deg).
+pub fn divided(segments: usize, cables_deg: &[f64]) -> ArmConfig {
+    let mut arm = ArmConfig::paper();
+    let mut segment = arm.segments[0].clone();
+    segment.length_m = 2.4 / segments as f64;
+    segment.elements = (32 / segments).max(2);
+    segment.connector_length_m = 0.0;
+    segment.hole_angles_rad = cables_deg.iter().map(|angle| angle.to_radians()).collect();
+    arm.segments = vec![segment; segments];
+    arm
 }
 
 /// The similar scenario of `s` times the size, at the same pace: arm, path, obstacles and start. Its weights and its planner are

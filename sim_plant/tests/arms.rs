@@ -2,8 +2,8 @@
 //! `cargo run --release -p sim_plant --example campaign -- arms SCENARIO...`.
 
 #![allow(clippy::expect_used)] // a test stops where it cannot go on
-use sim_plant::follow::{Followed, follow, plant, scaled};
-use sinew::config::{ArmConfig, Config, ScenarioConfig, Start, Task};
+use sim_plant::follow::{Followed, divided, follow, plant, scaled};
+use sinew::config::{Config, ScenarioConfig, Start, Task};
 
 /// A scenario of the library by nothing but its arm's file.
 fn shown(name: &str, scale: f64, duration_s: Option<f64>) -> Followed {
@@ -67,19 +67,12 @@ fn an_arm_of_another_size_is_as_good() {
     assert!((other.curvature_error - bends.curvature_error).abs() < 1e-3, "{other:?}, at full size {bends:?}");
 }
 
-/// An arm of so many segments of the paper's rod, 2.4 m together, with cables at these angles (deg), bent as told (1/m).
+/// The paper's rod in so many segments with cables at these angles (deg), bent as told (1/m).
 fn bent(name: &str, segments: usize, cables_deg: &[f64], bend: impl Fn(usize) -> [f64; 2]) -> Followed {
-    let mut arm = ArmConfig::paper();
-    let mut segment = arm.segments[0].clone();
-    segment.length_m = 2.4 / segments as f64;
-    segment.elements = 32 / segments;
-    segment.connector_length_m = 0.0;
-    segment.hole_angles_rad = cables_deg.iter().map(|angle| angle.to_radians()).collect();
-    arm.segments = vec![segment; segments];
     let mut scenario = ScenarioConfig::find("shape").expect("built in");
     let curvatures_1pm = (0..segments).flat_map(bend).collect();
     scenario.task = Task::Shape { curvatures_1pm, weight_end: 1e10, weight_slope: 9.99e5, end_s: 30.0 };
-    (scenario.arm, scenario.start) = (arm, Start::Straight);
+    (scenario.arm, scenario.start) = (divided(segments, cables_deg), Start::Straight);
     (scenario.obstacles, scenario.weight_tension_change) = (Vec::new(), None);
     shown_of(name, &scenario, Some(40.0))
 }

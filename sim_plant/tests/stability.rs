@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)] // a test stops where it cannot go on
 use nalgebra::Vector3;
 use sim_plant::bench::Bench;
+use sim_plant::follow::divided;
 use sim_plant::truth::TruthSettings;
 use sinew::config::Config;
 use sinew::control::{Mode, Request, Settings, Target, TargetInput};
@@ -119,19 +120,25 @@ fn where_it_is_not_stable_a_kick_grows_as_told() {
 #[test]
 fn an_arm_of_many_segments_is_stable_straight_and_bent() {
     for count in [8, 12, 16] {
-        let mut arm = light(0.05).arm;
-        let mut segment = arm.segments[0].clone();
-        segment.length_m = 2.4 / count as f64;
-        segment.elements = 2;
-        segment.connector_length_m = 0.0;
-        segment.hole_angles_rad = [30.0f64, 150.0, 270.0].map(f64::to_radians).to_vec();
-        arm.segments = vec![segment; count];
-        let config = Config::of_arm(&arm, None).unwrap();
+        let config = Config::of_arm(&divided(count, &[30.0, 150.0, 270.0]), None).unwrap();
         let bends: Vec<f64> = (0..count).flat_map(|s| [0.4, if 2 * s < count { -1.2 } else { 0.3 }]).collect();
         for place in [Place::Rest, Place::Shape(bends)] {
             let spectrum = Spectrum::of(&config, &Held::at(&config, &place).unwrap()).unwrap();
             assert!(spectrum.is_stable(), "{count} segments, {place:?}: {:?}", spectrum.modes[0]);
         }
+    }
+    let three = [30.0, 150.0, 270.0];
+    let mut unequal = divided(10, &three);
+    unequal.segments[..4].iter_mut().for_each(|s| (s.length_m, s.elements) = (0.45, 4));
+    unequal.segments[4..].iter_mut().for_each(|s| s.length_m = 0.1);
+    let mut long = divided(16, &three);
+    long.segments.iter_mut().for_each(|s| s.length_m *= 2.0);
+    let six = divided(16, &[0.0, 60.0, 120.0, 180.0, 240.0, 300.0]);
+    for (name, arm) in [("unequal", unequal), ("small", divided(12, &three).scaled(0.1)), ("long", long), ("six", six)]
+    {
+        let config = Config::of_arm(&arm, None).unwrap();
+        let spectrum = Spectrum::of(&config, &Held::at(&config, &Place::Rest).unwrap()).unwrap();
+        assert!(spectrum.is_stable(), "{name}: {:?}", spectrum.modes[0]);
     }
 }
 
