@@ -183,7 +183,7 @@ fn a_run_for_people_ends_by_naming_the_page_and_the_report() {
     assert!(output.status.success(), "{}", text(&output));
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(
-        said.contains("as a page: --report FILE.html") && said.contains("in a browser meanwhile: --view"),
+        said.contains("what happened and why: add --report FILE.html") && said.contains("in a browser: add --view"),
         "{said}"
     );
     let report = ["tip", "--fast", "--duration", "1", "--report", page.to_str().unwrap()];

@@ -173,10 +173,10 @@ impl Demo {
     fn tell_of_pages(&self) {
         match &self.report {
             Some(out) => complain(format_args!("what happened, and why: {}", out.display())),
-            None => complain("what happened, and why, as a page: --report FILE.html"),
+            None => complain("for a page that shows what happened and why: add --report FILE.html"),
         }
         if self.view.is_none() {
-            complain("the run in a browser meanwhile: --view");
+            complain("to watch the run in a browser: add --view");
         }
     }
 
