@@ -159,6 +159,17 @@ fn the_built_in_files_pass_the_check() {
     assert!(text(&output.stderr).contains("/nonexistent.toml"));
 }
 
+#[test]
+fn a_check_shows_no_number_with_all_its_digits() {
+    for arm in ["arm", "arms/rao-2021/arm", "arms/renda-2018/arm"] {
+        let output = sinew(&["check", "--config", &shipped(arm), &shipped("drives")]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let said = text(&output.stdout);
+        let endless = said.split(|c: char| !c.is_ascii_digit()).find(|digits| digits.len() > 7);
+        assert_eq!(endless, None, "{said}");
+    }
+}
+
 fn shipped(name: &str) -> String {
     format!("{}/config/{name}.toml", env!("CARGO_MANIFEST_DIR"))
 }

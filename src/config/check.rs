@@ -3,6 +3,7 @@
 //! Enters: a checked configuration. Leaves: lines of label and value, ready for a table, and warnings. The buses' load is
 //! computed where their protocol is known and is not part of it.
 
+use super::computed::short;
 use super::{BodyModel, BusKind, BusLayout, Config, Routing, ScenarioConfig, SegmentConfig, Task};
 
 /// One line of a summary.
@@ -113,7 +114,7 @@ impl Config {
             timing.wake_latency_s.map_or_else(String::new, |s| format!(", wake-up latency at most {:.0} us", 1e6 * s));
         lines.push(line(
             "period",
-            format!("{} ms ({:.0} Hz), {scheduling}{wake}", 1e3 * timing.period_s, 1.0 / timing.period_s),
+            format!("{} ms ({:.0} Hz), {scheduling}{wake}", short(1e3 * timing.period_s), 1.0 / timing.period_s),
         ));
         lines.push(line(
             "missed deadlines",
@@ -124,26 +125,28 @@ impl Config {
         ));
         let planner = &self.planner;
         let body = match planner.body {
-            BodyModel::Arm => format!("whole arm, radius {} mm", 1e3 * planner.body_radius_m),
+            BodyModel::Arm => format!("whole arm, radius {} mm", short(1e3 * planner.body_radius_m)),
             BodyModel::Points => "points".to_owned(),
         };
         lines.push(line(
             "planner",
             format!(
                 "lookahead {} s, {} Newton iterations, near obstacles {}",
-                planner.lookahead_s,
+                short(planner.lookahead_s),
                 planner.newton_iterations_max,
                 planner.warning.name()
             ),
         ));
         let barrier = planner.barrier.map_or("no barrier".to_owned(), |barrier| format!("barrier {}", barrier.gamma));
-        lines.push(line("obstacles", format!("{body}, clearance {} mm, {barrier}", 1e3 * planner.clearance_m)));
+        lines.push(line("obstacles", format!("{body}, clearance {} mm, {barrier}", short(1e3 * planner.clearance_m))));
         let observer = &self.observer;
         lines.push(line(
             "observer",
             format!(
                 "K = {} EI/L, T_b = {} s, latency {} ticks",
-                observer.stiffness_ratio, observer.disturbance_time_s, observer.latency_ticks
+                observer.stiffness_ratio,
+                short(observer.disturbance_time_s),
+                observer.latency_ticks
             ),
         ));
         if self.friction.coefficient > 0.0 {
