@@ -135,7 +135,7 @@ fn users_who_may_not_are_told_and_change_nothing() {
         let access = format!("\n[access]\nstop = [\"@{ROBOT}\"]\nsee = [\"{STRANGER}\"]\n");
         if file == "drives.toml" { text + &access } else { text }
     });
-    open_to_all(&place);
+    place.open_to_all();
     let _plant = Plant::start(&place, false, &[]);
     let _daemon = place.daemon(&[]);
     place.arm();
@@ -168,7 +168,7 @@ fn whom_access_names_may_do_that_and_no_more() {
         if file == "drives.toml" { text + &access } else { text }
     });
     assert_eq!(place.config().obstacles.required, [7]);
-    open_to_all(&place);
+    place.open_to_all();
     let _plant = Plant::start(&place, false, &[]);
     let _daemon = place.daemon(&[]);
     place.until("drives ready", |s| s.drives.ready == s.drives.count && s.drives.count > 0);
@@ -216,18 +216,13 @@ fn whom_access_names_may_do_that_and_no_more() {
     place.until("disarmed", |s| s.mode == "disarmed");
 }
 
-/// Lets other users read the configuration and reach the socket.
-fn open_to_all(place: &Place) {
-    std::fs::set_permissions(place.folder.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
-}
-
 #[test]
 fn root_stops_the_daemon_of_an_ordinary_user_and_is_no_burden_to_it() {
     if !is_root("root's own commands") {
         return;
     }
     let place = Place::shipped();
-    open_to_all(&place);
+    place.open_to_all();
     chown(place.folder.path(), Some(ROBOT), Some(ROBOT)).unwrap();
     let mut command = place.sinew(&["run"]);
     let child = command.uid(ROBOT).gid(ROBOT).stderr(Stdio::piped()).spawn().unwrap();
@@ -378,13 +373,13 @@ fn no_thread_left_is_told_and_nothing_panics() {
         return;
     }
     let place = Place::shipped();
-    open_to_all(&place);
+    place.open_to_all();
     chown(place.folder.path(), Some(ROBOT), Some(ROBOT)).unwrap();
     let files: Vec<String> = place.files.iter().map(|file| file.display().to_string()).collect();
     for threads in 1..=8 {
         let run = format!(
             "ulimit -u {threads}; exec {} run --ticks 3 --config {}",
-            env!("CARGO_BIN_EXE_sinew"),
+            place.program().display(),
             files.join(" ")
         );
         let mut command = Command::new("bash");

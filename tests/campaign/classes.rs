@@ -374,15 +374,8 @@ fn links(t: &mut Trial) {
     assert_eq!(std::fs::read_to_string(precious).unwrap(), "precious");
 }
 
-fn open_to_all(t: &Trial) {
-    std::fs::set_permissions(t.place.folder.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
-    for file in &t.place.files {
-        std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o644)).unwrap();
-    }
-}
-
 fn strangers(t: &mut Trial, words: &[&str]) {
-    open_to_all(t);
+    t.place.open_to_all();
     for word in words {
         let mut command = t.place.sinew(&[word]);
         let child = command.uid(STRANGER).gid(STRANGER).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
@@ -391,14 +384,14 @@ fn strangers(t: &mut Trial, words: &[&str]) {
 }
 
 fn stranger_script(t: &mut Trial, script: &str) {
-    open_to_all(t);
+    t.place.open_to_all();
     let wrapper = t.place.folder.path().join("sinew-of-a-stranger");
     let files: Vec<String> = t.place.files.iter().map(|f| f.display().to_string()).collect();
-    let text = format!("#!/bin/sh\nexec {} \"$@\" --config {}\n", env!("CARGO_BIN_EXE_sinew"), files.join(" "));
+    let text = format!("#!/bin/sh\nexec {} \"$@\" --config {}\n", t.place.program().display(), files.join(" "));
     // Says what it reads to the arm's socket.
     let script = format!(
         "talk() {{ python3 -c 'import os,socket,sys\ns=socket.socket(socket.AF_UNIX)\ns.connect(os.environ[\"SOCKET\"])\n\
-         try: s.sendall(sys.stdin.buffer.read()); s.settimeout(1); s.recv(9999)\nexcept OSError: pass'; }}\n{script}"
+         try: s.sendall(sys.stdin.buffer.read()); s.settimeout(1); s.recv(9999)\nexcept OSError: pass'; }}\n\"$SINEW\" --version || exit 99\n{script}"
     );
     std::fs::write(&wrapper, text).unwrap();
     std::fs::set_permissions(&wrapper, std::fs::Permissions::from_mode(0o755)).unwrap();
@@ -408,12 +401,13 @@ fn stranger_script(t: &mut Trial, script: &str) {
     command.env("SOCKET", socket).env("FOLDER", t.place.folder.path()).env("DAEMON", t.daemon.id().to_string());
     command.uid(STRANGER).gid(STRANGER).stdout(Stdio::null()).stderr(Stdio::null());
     let child = command.spawn().unwrap();
-    t.keep(child).wait().unwrap();
+    let code = t.keep(child).wait().unwrap().code();
+    assert_ne!(code, Some(99), "the stranger cannot even run the program");
 }
 
 /// What a user who may publish obstacles does beyond that.
 fn oversteps(t: &mut Trial) {
-    open_to_all(t);
+    t.place.open_to_all();
     let tries: [&[&str]; 7] = [
         &["stop"],
         &["arm"],
@@ -437,7 +431,7 @@ fn oversteps(t: &mut Trial) {
 }
 
 fn camera_by_socket(t: &mut Trial) {
-    open_to_all(t);
+    t.place.open_to_all();
     let mut command = t.place.sinew(&["obstacles", "inject", "--ball", "0.3,0.1,-1,0.05", "--source", "77"]);
     command.uid(CAMERA).gid(CAMERA).stdout(Stdio::null()).stderr(Stdio::null());
     let camera = command.spawn().unwrap();

@@ -13,7 +13,9 @@ use sinew::daemon::status::{StatusReport, ask};
 use sinew::ipc::payload::{Obstacles, RequestKind, Response, State, SupervisorState, Target};
 use sinew::ipc::{Client, Domain, SourcePublisher};
 use sinew_hal::virtual_bus::remove_stale;
-use std::path::PathBuf;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -85,9 +87,32 @@ impl Place {
         Config::load(&self.files).unwrap()
     }
 
+    /// Lets other users read the configuration and run the programs, which may lie where nobody else gets to.
+    pub fn open_to_all(&self) {
+        let open = |path: &Path, mode| std::fs::set_permissions(path, Permissions::from_mode(mode)).unwrap();
+        open(self.folder.path(), 0o755);
+        self.files.iter().for_each(|file| open(file, 0o644));
+        let reachable = self.folder.path().join("bin");
+        std::fs::create_dir_all(&reachable).unwrap();
+        open(&reachable, 0o755);
+        let built = Path::new(env!("CARGO_BIN_EXE_sinew")).parent().unwrap();
+        for program in ["sinew", "sim_plant"] {
+            let (from, to) = (built.join(program), reachable.join(program));
+            if from.exists() && !to.exists() {
+                std::fs::hard_link(&from, &to).or_else(|_| std::fs::copy(&from, &to).map(drop)).unwrap();
+            }
+        }
+    }
+
+    /// The program, after [`Place::open_to_all`] where everybody gets to.
+    pub fn program(&self) -> PathBuf {
+        let reachable = self.folder.path().join("bin/sinew");
+        if reachable.exists() { reachable } else { env!("CARGO_BIN_EXE_sinew").into() }
+    }
+
     /// The program with arguments and the configuration.
     pub fn sinew(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_sinew"));
+        let mut command = Command::new(self.program());
         command.env_remove("SINEW_IPC_PREFIX").env_remove("SINEW_IPC_ROOT").env_remove("SINEW_RUN_DIR");
         command.args(arguments).arg("--config").args(&self.files);
         command
